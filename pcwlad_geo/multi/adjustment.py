@@ -1,19 +1,17 @@
 """The joint least-squares adjustment of many images from the tie points of their pairs.
 
-Every image places the ground X at X + g(X), where its georeferencing errs by g. The tie points of a pair
-(a, b) tell g of b minus g of a. All g are estimated together; a pair adds an error of its own that all its
-points share. What images of one kind see alike, and others do not, is in no contradiction of the pairs: by
-how much the result depends on which ground is looked at tells of it (a jackknife of blocks of the ground).
-Frames without georeferencing may get homographies instead. Of several models the simplest that predicts what
-is left out as well as any is chosen.
+Every image places the ground X at X + g(X), where g is the error of its georeferencing. The tie points of a
+pair (a, b) measure g of b minus g of a, with an error that all points of the pair share. All g are estimated
+together. An error that all pairs of two kinds of images have in common causes no contradiction between pairs;
+a jackknife over blocks of the ground estimates it. Frames without georeferencing may get homographies
+instead. Of several models the simplest that predicts left-out points as well as any is chosen.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Final
@@ -61,17 +59,17 @@ from pcwlad_geo.multi.network import (
 from pcwlad_geo.types import Bool, Float64, Index
 
 LEAST_SHARED: Final = 1.0
-"""Least sigma of the shared error of a pair, in what its own blocks tell."""
+"""Least value of `Adjustment.shared`."""
 MOST_ROUNDS: Final = 20
-"""Largest number of times that the pairs in use are chosen anew."""
+"""Largest number of iterations in which pairs are selected and weighted."""
 FREEDOM: Final = 8
-"""Degrees of freedom of the sigma of a pair: a few blocks tell it to a quarter."""
+"""Degrees of freedom of the sigma of a pair, which a few blocks estimate to a quarter of its value."""
 ALPHA: Final = 0.01
-"""Probability that of all pairs of a stack, all right, one is left out."""
+"""Probability that any pair of a stack is left out where all are right."""
 MEDIAN_SIGMAS: Final = (FREEDOM * (2.0 ** (2 / FREEDOM) - 1)) ** 0.5
-"""Median of an offset of such a pair, in sigmas."""
+"""Median of the length of the offset of a right pair, in sigmas, by the distribution of `critical`."""
 MIN_REDUNDANCY: Final = 0.1
-"""A pair that the others check less says nothing about the error that pairs have."""
+"""Least redundancy of the pairs that the shared error is estimated from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +77,12 @@ class Adjustment:
     """The displacements of all images in one frame, and their covariance."""
 
     basis: Basis
-    """Of positions (x, y), map units."""
+    """Functions of the position (x, y), map units."""
     coefficients: Float64
     """(images, terms, 2): displacement (x, y) per term, map units."""
     edges: tuple[EdgeFit, ...]
     shared: float
-    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it."""
+    """Standard deviation of the error that all points of a pair share, relative to that by its own blocks."""
     datum: int | None
     """Number of the image that stays; None: the mean of all images does."""
     normal: csc_array
@@ -98,22 +96,21 @@ class Adjustment:
     the sum of their products is the covariance (jackknife: Tukey 1958, doi:10.1214/aoms/1177706647)."""
 
     def displacement(self, image: int, xy: Float64) -> Float64:
-        """Return by how much an image places the ground at (n, 2) positions `xy` beside itself, (n, 2)."""
+        """Return the (n, 2) displacements of an image at the (n, 2) ground positions `xy`."""
         return np.asarray(self.basis.values(xy) @ self.coefficients[image])
 
     def to_ground(self, image: int, xy: Float64) -> Float64:
-        """Return the (n, 2) ground of the (n, 2) positions `xy` as an image's georeferencing places them."""
+        """Return the (n, 2) ground positions that an image's georeferencing places at the (n, 2) `xy`."""
         ground = np.asarray(xy, dtype=np.float64)
-        for _ in range(8):  # displacements are nearly the same a few pixels beside
+        for _ in range(8):  # converges, as displacements change slowly with position
             ground = xy - self.displacement(image, ground)
         return ground
 
     def covariance(self, image: int, xy: Float64, other: int | None = None) -> Float64:
         """Return the (n, 2, 2) covariance of an image's displacement at (n, 2) positions `xy`, map units².
 
-        With `other`, of the difference of the two images' displacements: how well they fit each other. It is
-        the larger, direction by direction, of what the pairs tell by their contradictions and of what the
-        blocks of the ground tell by theirs.
+        With `other`, of the difference of the two images' displacements: how well they fit each other. In
+        each direction it is the larger of the covariance of the least-squares solution and of the jackknife.
         """
         values = self.basis.values(xy)
         terms = values.shape[1]
@@ -150,11 +147,11 @@ def adjust(
 ) -> Adjustment:
     """Estimate the displacements of all images from the tie points of their pairs.
 
-    A pair whose points contradict all others is found and left out: pairs lose weight by their offset first
-    (L1 norm), then those far off are left out and tested again. The error that the points of a pair share is
-    taken as proportional to the change of its own affine without blocks of its points, as matches of two
-    sensors that see other edges vary more over the ground; by how much, the pairs in use tell by what they
-    contradict each other (Förstner 1979).
+    A pair whose points contradict all others is left out: pairs lose weight by their offset first (L1 norm),
+    then those far off are left out and tested again. The error that the points of a pair share is taken as
+    proportional to the change of its own affine without blocks of its points, as matches of two sensors that
+    show different edges vary more over the ground; the factor is estimated from the contradictions between
+    the pairs in use (Förstner 1979).
 
     Parameters
     ----------
@@ -172,8 +169,8 @@ def adjust(
     basis : Basis, optional
         Instead of that of the model over the points.
     sigma_known : (images,) array, optional
-        Standard deviation of the displacement of each along an axis as known beforehand, map units; infinite
-        where it is not. One found far beyond counts for less.
+        Prior standard deviation of the displacement of each image along an axis, map units; infinite where
+        there is none. It has less weight for an image that is displaced by many sigmas.
 
     Raises
     ------
@@ -183,23 +180,21 @@ def adjust(
     for edge in edges:
         check_observations("the tie points of a pair", edge.first_xy, edge.second_xy, edge.covariance)
     group = components(ends_of(edges), images)
-    count = int(group.max()) + 1
-    if not edges or (count > 1 and not split):
+    fixed = _datums(group, datum)
+    if not edges or (len(fixed) > 1 and not split):
         away = np.flatnonzero(group != group[0]).tolist()
-        raise InputError(f"{count} groups of images share no ground: images {away} are not connected")
+        raise InputError(f"{len(fixed)} groups of images share no ground: images {away} are not connected")
     basis, edges = basis or basis_over([edge.first_xy for edge in edges], model), linked(edges)
-    firsts = [int(np.flatnonzero(group == number)[0]) for number in range(count)]
-    fixed = tuple(datum if datum is not None and group[datum] == group[each] else each for each in firsts)
     network, side = _network(images, basis, fixed), side_of_blocks(edges)
     coefficients = np.zeros((images, network.terms, 2))
     used, shared = np.ones(len(edges), bool), 0.0
     evidence = np.array([edge.evidence for edge in edges])
-    for _ in range(3):  # at the ground that the displacements so far tell
+    for _ in range(3):  # the ground of the points depends on the displacements
         before = coefficients
-        if sigma_known is not None and shared:  # not before the pairs themselves say how they err
+        if sigma_known is not None and shared:  # only after the shared error is estimated from the pairs
             network = replace(network, known=_known(edges, basis, before, sigma_known))
         parts = [edge_equations(edge, basis, before, side) for edge in edges]
-        shared = shared or _first_shared(network, parts)
+        shared = shared or _initial_shared_error(network, parts)
         found = _consistent_solution(network, parts, used, shared, evidence)
         coefficients, used, shared = found.solution.coefficients, found.used, found.shared
     fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(found.solution.fits, used, strict=True))
@@ -207,21 +202,19 @@ def adjust(
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
     normal = found.solution.normal
-    return Adjustment(
-        basis=basis,
-        coefficients=coefficients,
-        edges=fits,
-        shared=shared,
-        datum=datum,
-        normal=normal,
-        group=group,
-        fixed=fixed,
-        spread=spread,
-    )
+    return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
+
+
+def _datums(group: Index, datum: int | None) -> tuple[int, ...]:
+    """Return one image of each of the (images,) groups: the datum in its own, the first in the others."""
+    found: list[int] = np.unique(group, return_index=True)[1].tolist()
+    if datum is not None:
+        found[group[datum]] = datum
+    return tuple(found)
 
 
 def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Float64) -> Float64:
-    """Return `Network.known` of images whose displacements have a (images,) sigma beforehand."""
+    """Return `Network.known` for displacements with the (images,) prior standard deviations `sigma`."""
     values = basis.values(np.concatenate([edge.first_xy for edge in edges]))
     moment = values.T @ values / len(values)
     squares = np.einsum("ita,ts,isa->i", coefficients, moment, coefficients)
@@ -273,7 +266,7 @@ def extend(
 
 
 def _on_frame(before: Adjustment, more: Sequence[Edge], old: int, images: int) -> Adjustment:
-    """Adjust new images on the ground that an adjustment of the old ones tells, image 0 of the result."""
+    """Adjust new images to the ground as the old ones are adjusted to it: that is image 0 of the result."""
     frame = [
         replace(
             edge,
@@ -306,7 +299,7 @@ def _spread(
     sigma: Float64,
     side: float,
 ) -> Float64:
-    """Return `Adjustment.spread`: solve again without each block of the ground."""
+    """Return `Adjustment.spread`: the jackknife over the blocks of the ground."""
     if not network.free.size:
         return np.zeros((1, network.images, network.terms, 2))
     blocks = [
@@ -320,14 +313,11 @@ def _spread(
     return jackknife(np.array(found))
 
 
-def _first_shared(network: Network, parts: Sequence[EdgeEquations]) -> float:
-    """Return how much pairs typically contradict each other, as if each erred as it seems.
-
-    In what the blocks of each tell of its error.
-    """
+def _initial_shared_error(network: Network, parts: Sequence[EdgeEquations]) -> float:
+    """Return the median offset of the pairs in a solution of least L1 norm, relative to their own errors."""
     used, error = np.ones(len(parts), bool), errors_of(parts)
     shared = np.full(len(parts), 1e3)
-    for _ in range(30):  # L1 norm
+    for _ in range(30):  # iteratively reweighted least squares
         fits = network.solve(parts, used, shared * error).fits
         size = np.array([np.hypot(*fit.offset) for fit in fits]) / error
         typical = max(float(np.median(size)), LEAST_SHARED)
@@ -336,19 +326,19 @@ def _first_shared(network: Network, parts: Sequence[EdgeEquations]) -> float:
 
 
 def critical(pairs: int) -> float:
-    """Return by how many sigmas the offset of a right one of so many pairs lies off the others at most.
+    """Return the critical value of the outlier test: the largest offset of a right one of `pairs`, sigmas.
 
-    The offset has two components, and its sigma some degrees of freedom only: half its square in sigmas
-    follows Fisher's F (Pope 1976, NOAA Technical Report NOS 65 NGS 1). The largest of all is tested, so that
-    of all pairs one at most is lost with the probability `ALPHA` (Šidák 1967, doi:10.2307/2283989).
+    The offset has two components, and its sigma few degrees of freedom: half its square in sigmas follows
+    Fisher's F (Pope 1976, NOAA Technical Report NOS 65 NGS 1). The largest offset of all pairs is tested: the
+    probability that any right one is lost is `ALPHA` (Šidák 1967, doi:10.2307/2283989).
     """
-    alone = 1 - (1 - ALPHA) ** (1 / pairs)
-    return float(np.sqrt(FREEDOM * (alone ** (-2 / FREEDOM) - 1)))
+    alpha_of_one = 1 - (1 - ALPHA) ** (1 / pairs)
+    return float(np.sqrt(FREEDOM * (alpha_of_one ** (-2 / FREEDOM) - 1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RobustSolution:
-    """A solution, the pairs that it is of, and what the points of each share."""
+    """A solution, the pairs in use, and their shared errors."""
 
     solution: NetworkSolution
     used: Bool
@@ -356,15 +346,15 @@ class _RobustSolution:
     shared: float
     """See `Adjustment.shared`."""
     sigma: Float64
-    """(edges,) standard deviations of the shared error, with what its own offset tells of each."""
+    """(edges,) standard deviations of the shared errors, larger for pairs with a large offset."""
 
 
 def _consistent_solution(
     network: Network, parts: Sequence[EdgeEquations], used: Bool, shared: float, evidence: Float64
 ) -> _RobustSolution:
-    """Solve with the pairs that agree, and of groups that contradict each other the one of more evidence."""
+    """Solve with the pairs that agree; of groups that contradict each other, with that of more evidence."""
     for turn in range(MOST_ROUNDS):
-        # two answers that replace each other: that of more evidence is the last
+        # where two groups alternate, the last round keeps that of more evidence
         found = _robust_solution(network, parts, used, shared, keep=turn == MOST_ROUNDS - 1)
         used, shared = _consistent_pairs(network, parts, found, evidence), found.shared
         if (used == found.used).all():
@@ -378,10 +368,10 @@ def _robust_solution(
     """Solve, test all pairs for outliers and weight them anew, until nothing changes.
 
     The outlier test leaves out the pairs that contradict the others, unless it is to `keep` those `used`; one
-    that was left out is tested again, against the sigma of what is in use now. The weights are those of
-    Student's t distribution (Lange, Little, Taylor 1989, doi:10.1080/01621459.1989.10478852): what a pair
-    shares has a sigma known to `FREEDOM` degrees of freedom, and its own offset adds two more, so that pairs
-    somewhat off count for less. The test is against the sigma without that.
+    that was left out is tested again, against the sigma of those in use now. The weights are those of
+    Student's t distribution (Lange, Little, Taylor 1989, doi:10.1080/01621459.1989.10478852): the sigma of a
+    shared error has `FREEDOM` degrees of freedom, and the offset of the pair adds two more, so that pairs
+    somewhat off count for less. The test uses the sigma without these weights.
     """
     error, limit = errors_of(parts), critical(len(parts))
     factor = np.ones(len(parts))  # of the sigma of each, by its weight
@@ -405,10 +395,7 @@ def _robust_solution(
 
 
 def _shared_error(solution: NetworkSolution, used: Bool, before: float) -> float:
-    """Return the shared error by which the pairs in use contradict each other as they do.
-
-    It counts in what the blocks of each pair tell of it. By the median: wrong pairs may be among them.
-    """
+    """Return `Adjustment.shared` by the median offset of the pairs in use, as some of them may be wrong."""
     checked = [
         fit.ratio
         for fit, use in zip(solution.fits, used, strict=True)
@@ -420,29 +407,27 @@ def _shared_error(solution: NetworkSolution, used: Bool, before: float) -> float
 def _consistent_pairs(
     network: Network, parts: Sequence[EdgeEquations], before: _RobustSolution, evidence: Float64
 ) -> Bool:
-    """Return the pairs in use.
+    """Return the pairs to use.
 
-    The pairs of an image give way to others that agree on another place and have more evidence together, as
-    many may err by one cause.
+    The pairs of an image are replaced by left-out ones that agree on another position of it and have more
+    evidence together, as many pairs may be wrong for one reason.
     """
-    used, solution, limit = before.used, before.solution, critical(len(parts))
+    used, ends, fits = before.used, ends_of(parts), before.solution.fits
+    offset = np.array([fit.offset for fit in fits])
+    limit = critical(len(parts)) * np.array([fit.sigma for fit in fits])
     found = used.copy()
     for image in range(network.images):
-        at = [k for k, part in enumerate(parts) if image in (part.first, part.second)]
-        away = [k for k in at if not used[k]]
-        offsets = {k: np.array(solution.fits[k].offset) * (1 if parts[k].second == image else -1) for k in at}
+        at = (ends == image).any(axis=1)
+        out = np.flatnonzero(at & ~used)
+        of_image = offset[out] * np.where(ends[out, 1:] == image, 1, -1)
         groups = [
-            [
-                other
-                for other in away
-                if np.hypot(*(offsets[k] - offsets[other])) <= limit * solution.fits[k].sigma
-            ]
-            for k in away
+            out[np.hypot(*(of_image - each).T) <= most]
+            for each, most in zip(of_image, limit[out], strict=True)
         ]
-        most = max(groups, key=lambda group: float(evidence[group].sum()), default=[])
-        if evidence[most].sum() > evidence[[k for k in at if used[k]]].sum():
+        best = max(groups, key=lambda group: float(evidence[group].sum()), default=out)
+        if evidence[best].sum() > evidence[at & used].sum():
             found[at] = False
-            found[most] = True
+            found[best] = True
             break
     return found
 
@@ -450,42 +435,41 @@ def _consistent_pairs(
 def _still_connected(
     edges: Sequence[EdgeEquations], images: int, used: Bool, wanted: Bool, ratio: Float64
 ) -> Bool:
-    """Return the edges wanted, with the best of the others that are needed to keep all images connected."""
+    """Return the edges wanted, and the best of the others that are needed to keep all images connected."""
     chosen = wanted.copy()
     for index in np.argsort(ratio):
-        if not chosen[index] and used[index]:
-            part = components(ends_of(edges)[chosen], images)
-            if part[edges[index].first] != part[edges[index].second]:
-                chosen[index] = True
+        if used[index] and not chosen[index]:
+            group = components(ends_of(edges)[chosen], images)
+            chosen[index] = group[edges[index].first] != group[edges[index].second]
     return chosen
 
 
 HOMOGRAPHY: Final = "projective"
 """Name of the model."""
-FLEXIBLE_RATIO: Final = 2**0.5
-"""Where a more flexible model was chosen, less than this share of what that leaves."""
-NO_HOMOGRAPHY: Final = "no homography fits the tie points of all frames: choose another model"
-"""Message where one puts ground beyond the horizon of a frame."""
 HOMOGRAPHY_RATIO: Final = 0.9
-"""Homographies are taken where they leave less than this share of what affines leave between the frames."""
+"""Homographies are used where their residuals are smaller than those of affines by this ratio at least."""
+FLEXIBLE_RATIO: Final = 2**0.5
+"""The same where a more flexible model than an affine was chosen: their squares may be twice as large."""
+NO_HOMOGRAPHY: Final = "no homography fits the tie points of all frames: choose another model"
+"""Message where tie points or ground lie beyond the horizon of a frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameAdjustment(Adjustment):
     """Homographies of all frames in the pixels of one, and their covariance.
 
-    What it inherits is of the frames as these homographies rectify them, and zero but for their covariance.
+    The inherited fields are those of the frames rectified by the homographies, whose displacements are zero.
     """
 
-    matrices: Float64 = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    matrices: Float64
     """(images, 3, 3): px of the reference (col, row, 1) to those of each frame."""
 
     def displacement(self, image: int, xy: Float64) -> Float64:
-        """Return by how much a frame sees the (n, 2) px `xy` of the reference beside these, (n, 2)."""
+        """Return the (n, 2) displacements of a frame at the (n, 2) px `xy` of the reference."""
         return self.correction(image).forward(xy) - xy
 
     def to_ground(self, image: int, xy: Float64) -> Float64:
-        """Return the (n, 2) px of the reference that are seen at the (n, 2) px `xy` of a frame."""
+        """Map the (n, 2) px `xy` of a frame to the (n, 2) px of the reference."""
         return self.correction(image).inverse(xy)
 
     def covariance(self, image: int, xy: Float64, other: int | None = None) -> Float64:
@@ -496,8 +480,8 @@ class FrameAdjustment(Adjustment):
         covariance = super().covariance(image, xy, other)
         if other is not None:
             return covariance
-        rate = _rate(self.matrices[image], xy)
-        return rate @ covariance @ rate.transpose(0, 2, 1)
+        jacobian = _jacobian(self.matrices[image], xy)
+        return jacobian @ covariance @ jacobian.transpose(0, 2, 1)
 
     def correction(self, image: int) -> ProjectiveCorrection:
         """Return the correction of a frame."""
@@ -505,7 +489,7 @@ class FrameAdjustment(Adjustment):
 
 
 def on_epipolar_lines(edge: Edge) -> Edge | None:
-    """Return a pair without the points that no depth explains; None if no geometry is found or few agree."""
+    """Return a pair without points off their epipolar lines; None if no geometry is found or few fit it."""
     geometry = EpipolarGeometry.of(edge.first_xy, edge.second_xy)
     if geometry is None:
         return None
@@ -521,10 +505,10 @@ def on_epipolar_lines(edge: Edge) -> Edge | None:
 def or_homographies(
     found: Adjustment, edges: Sequence[Edge], images: int, *, datum: int | None = 0, split: bool = False
 ) -> Adjustment:
-    """Return homographies of all frames where another adjustment leaves more, else that.
+    """Return homographies of all frames where the tie points fit them better than an adjustment, else that.
 
-    Beside a model that is more flexible they are the image of flat ground, and are taken unless they leave
-    more than twice its squares. Parameters and errors are those of `homographies`.
+    Against a model that is more flexible than an affine they are preferred, as flat ground is mapped by
+    homographies (`FLEXIBLE_RATIO`). Parameters and errors are those of `homographies`.
     """
     if min(len(edge) for edge in edges) < MIN_EPIPOLAR_MATCHES:
         return found
@@ -532,12 +516,12 @@ def or_homographies(
         projective = homographies(edges, images, datum=datum, split=split)
     except InputError:
         return found
-    flexible = terms_of(found.basis) > terms_of(basis_over([edge.first_xy for edge in edges], "affine"))
-    left = [
+    before, after = (
         float(np.median([math.hypot(fit.scatter, *fit.offset) for fit in each.edges if fit.used]))
         for each in (found, projective)
-    ]
-    return projective if left[1] < (FLEXIBLE_RATIO if flexible else HOMOGRAPHY_RATIO) * left[0] else found
+    )
+    ratio = HOMOGRAPHY_RATIO if lossless(found.basis) else FLEXIBLE_RATIO
+    return projective if after < ratio * before else found
 
 
 def homographies(
@@ -545,25 +529,20 @@ def homographies(
 ) -> FrameAdjustment:
     """Estimate the homographies of all frames from the tie points of their pairs.
 
-    The tie points are in the pixels of the frames; those that leave their epipolar lines have no part. Other
+    The tie points are in the pixels of the frames; those off their epipolar lines are left out. Other
     parameters are those of `adjust`. Raises `InputError` as that does, or if no homography fits the points of
     the pairs of a frame.
     """
     edges = [on_epipolar_lines(edge) or edge for edge in edges]
-    matrices = _chained(edges, images, datum or 0)
+    matrices = _chained(edges, images, datum)
     for _ in range(8):
         rectified = [_rectified(edge, matrices) for edge in edges]
         basis = polynomial_over([edge.first_xy for edge in rectified], 2, HomographyBasis)
         found = adjust(rectified, images, datum=datum, split=split, basis=basis)
         corners = np.array([basis.centre_px, basis.low_px, basis.high_px])
-        steps = [found.displacement(image, corners) for image in range(images)]
-        matrices = np.stack(
-            [
-                matrix @ _homography(basis, coefficients)
-                for matrix, coefficients in zip(matrices, found.coefficients, strict=True)
-            ]
-        )
-        if max(float(np.abs(step).max()) for step in steps) < 1e-4:
+        steps = [np.abs(found.displacement(image, corners)).max() for image in range(images)]
+        matrices = matrices @ np.stack([_homography(basis, each) for each in found.coefficients])
+        if max(steps) < 1e-4:
             break
     values = {name: getattr(found, name) for name in Adjustment.__dataclass_fields__}
     adjusted = FrameAdjustment(**values, matrices=matrices)
@@ -574,7 +553,7 @@ def homographies(
 
 
 def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
-    """Return the (3, 3) homography that displaces as the (6, 2) `coefficients` say, to first order."""
+    """Return the (3, 3) homography whose displacement is to first order that of the (6, 2) `coefficients`."""
     (a, d), (b, e), (c, f) = (coefficients[:3] / basis.radius_px).tolist()
     g, h = float(coefficients[3, 0]) / basis.radius_px, float(coefficients[5, 1]) / basis.radius_px
     inner = np.array([[1 + b, c, a], [e, 1 + f, d], [-g, -h, 1.0]])
@@ -584,39 +563,31 @@ def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
     return np.asarray(found / found[2, 2])
 
 
-def _chained(edges: Sequence[Edge], images: int, first: int) -> Float64:
-    """Return (images, 3, 3) homographies along the pairs of most points from the first of each group."""
-    pairwise = [plane_of(edge.first_xy, edge.second_xy) if len(edge) >= 6 else None for edge in edges]
+def _chained(edges: Sequence[Edge], images: int, datum: int | None) -> Float64:
+    """Return (images, 3, 3) homographies, chained from the datum of each group by pairs of most points first.
+
+    Raises `InputError` if those that have a homography do not connect all images.
+    """
+    steps: list[tuple[int, int, Float64]] = []
+    for edge in sorted(edges, key=len, reverse=True):
+        matrix = plane_of(edge.first_xy, edge.second_xy) if len(edge) >= 6 else None
+        if matrix is not None:
+            steps += [(edge.first, edge.second, matrix), (edge.second, edge.first, inverse(matrix))]
     matrices = np.tile(np.eye(3), (images, 1, 1))
-    known: set[int] = set()
-    by_points = sorted(range(len(edges)), key=lambda number: -len(edges[number]))
-    group = components(ends_of(edges), images)
-    firsts = [int(np.flatnonzero(group == each)[0]) for each in range(int(group.max()) + 1)]
-    for start in [first, *(each for each in firsts if group[each] != group[first])]:
-        if start in known:
-            continue
-        known.add(start)
-        waiting = deque([start])
-        while waiting:
-            here = waiting.popleft()
-            for number in by_points:
-                edge, step = edges[number], pairwise[number]
-                if step is None:
-                    continue
-                ways = ((edge.first, edge.second, step), (edge.second, edge.first, inverse(step)))
-                for one, other, way in ways:
-                    if one == here and other not in known:
-                        matrices[other] = way @ matrices[here]
-                        known.add(other)
-                        waiting.append(other)
-    lost = {image for edge in edges for image in (edge.first, edge.second)} - known
+    known = list(_datums(components(ends_of(edges), images), datum))
+    for image in known:  # breadth first: it grows
+        for first, second, matrix in steps:
+            if first == image and second not in known:
+                matrices[second] = matrix @ matrices[image]
+                known.append(second)
+    lost = images - len(known)
     if lost:
-        raise InputError(f"no homography fits the tie points of {len(lost)} frames: choose another model")
+        raise InputError(f"no homography fits the tie points of {lost} frames: choose another model")
     return matrices / matrices[:, 2:, 2:]
 
 
 def _rectified(edge: Edge, matrices: Float64) -> Edge:
-    """Return the points of a pair in px of the reference, as the homographies so far place them.
+    """Return a pair with its points in px of the reference, mapped there by the homographies.
 
     Raises `InputError` if one is beyond the horizon.
     """
@@ -624,36 +595,35 @@ def _rectified(edge: Edge, matrices: Float64) -> Edge:
     first_xy, second_xy = first.inverse(edge.first_xy), second.inverse(edge.second_xy)
     if not (np.isfinite(first_xy).all() and np.isfinite(second_xy).all()):
         raise InputError(NO_HOMOGRAPHY)
-    rate = _rate(inverse(second.matrix), edge.second_xy)
-    covariance = np.asarray(rate @ edge.covariance @ rate.transpose(0, 2, 1))
+    jacobian = _jacobian(inverse(second.matrix), edge.second_xy)
+    covariance = np.asarray(jacobian @ edge.covariance @ jacobian.transpose(0, 2, 1))
     return replace(edge, first_xy=first_xy, second_xy=second_xy, covariance=covariance)
 
 
-def _rate(matrix: Float64, xy: Float64) -> Float64:
+def _jacobian(matrix: Float64, xy: Float64) -> Float64:
     """Return the (n, 2, 2) derivatives of a homography at (n, 2) positions."""
     moved = np.column_stack([xy, np.ones(len(xy))]) @ matrix.T
     place = moved[:, :2] / moved[:, 2:]
-    rate = matrix[None, :2, :2] - place[:, :, None] * matrix[None, 2:, :2]
-    return rate / moved[:, 2:, None]
+    return (matrix[:2, :2] - place[:, :, None] * matrix[2:, :2]) / moved[:, 2:, None]
 
 
 CANDIDATE_MODELS: Final = {
     "auto": IMAGE_MODELS,
     **{name: of_option(name) for name in ("shift", "affine", "polynomial", SPLINE)},
 }
-"""Models of an image that are tried for each that can be asked for."""
+"""Models of an image that are tried, by the option that the user gives."""
 MAX_IMAGES_TO_CHOOSE: Final = 40
-"""Of more images so many of those nearest to the datum, in pairs, decide."""
+"""Largest number of images that the model is chosen by: those connected to the datum by the fewest pairs."""
 
 
 def choose_basis(
     edges: Sequence[Edge], images: int, model: str, *, datum: int | None = 0, split: bool = False
 ) -> Basis:
-    """Return the functions of place of the model that predicts left-out ground best.
+    """Return the basis of the model that predicts left-out ground best (cross-validation).
 
-    Cells of the ground are left out in turn, in all pairs at once; the tie points in them are held against
-    the adjustment of the others. A simpler model stays unless a more flexible one is better by more than
-    chance, cell by cell. The `model` is a key of `CANDIDATE_MODELS`; the rest is as `adjust` takes it.
+    Blocks of the ground are left out in turn, in all pairs at once; the tie points in them are compared with
+    the adjustment of the others. A simpler model is kept unless a more flexible one is significantly better.
+    The `model` is a key of `CANDIDATE_MODELS`; the other parameters are those of `adjust`.
     """
     places = [edge.first_xy for edge in edges]
     tried = [
@@ -662,9 +632,8 @@ def choose_basis(
         for roughness in (ROUGHNESS if name == SPLINE else ROUGHNESS[:1])
     ]
     least = min(map(len, edges), default=0)  # control points may be few
-    tried = [basis for basis in tried if isinstance(basis, SplineBasis) or terms_of(basis) < least] or tried[
-        :1
-    ]
+    determined = [each for each in tried if isinstance(each, SplineBasis) or terms_of(each) < least]
+    tried = determined or tried[:1]
     if len(tried) == 1:
         return tried[0]
     edges, known, datum = _nearest(edges, images, datum)
@@ -675,7 +644,7 @@ def choose_basis(
         for basis in tried:
             same = bool(trials) and all(isinstance(each, SplineBasis) for each in (basis, trials[-1].basis))
             trials.append(replace(trials[-1], basis=basis) if same else _trial(edges, start, basis))
-        # what points scatter, and pairs share, is held against all models alike: as by the best of them
+        # all models are compared with the same weights: the smallest scatters and shared errors of all
         scatter = np.min([[part.scatter for part in trial.parts] for trial in trials], axis=0)
         shared = np.min([trial.shared for trial in trials], axis=0)
         errors = [_errors(trial, start, scatter, shared) for trial in trials]
@@ -693,17 +662,17 @@ def lossless(basis: Basis) -> bool:
     return isinstance(basis, PolynomialBasis) and basis.order <= 1
 
 
-def _is_better(gain: Float64, before: bool, after: bool, scatter: float) -> bool:
-    """Return whether a more flexible model predicts better, by the (turns,) gain in squared scatters.
+def _is_better(gain: Float64, lossless_before: bool, lossless_after: bool, scatter: float) -> bool:
+    """Return whether a more flexible model predicts better, by the (blocks,) gain in squared scatters.
 
-    `before` and `after` tell which of the two are lossless. As for a pair: what matches of two sensors share
-    looks like detail, so that a model that needs resampling must gain more than that, and between such
-    models simplicity is worth nothing.
+    As for a pair, common errors of the matches of two sensors look like local displacements: a model that
+    needs resampling must gain more than these where the other one is lossless, and between two models that
+    need resampling the better one is chosen, however small its gain.
     """
     error = gain.std(ddof=1) / np.sqrt(len(gain))
-    if not before:
+    if not lossless_before:
         return bool(gain.mean() > 0)
-    if after:
+    if lossless_after:
         return bool(gain.mean() > 2 * error)
     enough = scatter * np.sqrt(max(gain.mean(), 0.0)) >= MIN_GAIN_PX
     return bool(enough and gain.mean() > RESAMPLING_SIGNIFICANCE * error)
@@ -712,7 +681,10 @@ def _is_better(gain: Float64, before: bool, after: bool, scatter: float) -> bool
 def _nearest(
     edges: Sequence[Edge], images: int, datum: int | None
 ) -> tuple[Sequence[Edge], Sequence[int], int | None]:
-    """Return the pairs of the images nearest to the datum, numbered anew if there are many, and these."""
+    """Return the pairs of the images nearest to the datum, these images, and the number of the datum.
+
+    The images are numbered anew if there are more than `MAX_IMAGES_TO_CHOOSE`.
+    """
     if images <= MAX_IMAGES_TO_CHOOSE:
         return edges, range(images), datum
     known = [datum or 0]
@@ -720,7 +692,7 @@ def _nearest(
         for edge in edges:
             if image in (edge.first, edge.second) and len(known) < MAX_IMAGES_TO_CHOOSE:
                 other = edge.first + edge.second - image
-                known += [] if other in known else [other]
+                known += [other] if other not in known else []
     number = {image: index for index, image in enumerate(known)}
     kept = [
         replace(edge, first=number[edge.first], second=number[edge.second])
@@ -732,50 +704,51 @@ def _nearest(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ModelTrial:
-    """A model, and what the pairs tell by it, which is the same for splines of any roughness."""
+    """A model, and the equations of the pairs by it, which are the same for splines of any roughness."""
 
     basis: Basis
     parts: list[EdgeEquations]
-    folds: list[list[Fold]]
-    """Of each pair."""
+    folds: list[dict[int, Fold]]
+    """Left-out blocks of each pair, by their number."""
     shared: Float64
-    """(edges,) standard deviations of what the points of each share, map units."""
+    """(edges,) standard deviations of the error that the points of each share, map units."""
 
 
 def _trial(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> _ModelTrial:
-    """Sum up the pairs by a model, at the ground that another tells."""
+    """Return the equations of the pairs by a model, with the datum of the adjustment `start`."""
     side = side_of_blocks(edges)
     network = _network(len(start.coefficients), basis, start.fixed)
     coefficients = np.zeros((network.images, network.terms, 2))
-    for _ in range(2):  # at the ground that the displacements so far tell
+    for _ in range(2):  # the ground of the points depends on the displacements
         parts = [edge_equations(edge, basis, coefficients, side) for edge in edges]
         shared = errors_of(parts)
         coefficients = network.coefficients(parts, np.ones(len(parts), bool), shared)
     folds = [
-        folds_of(edge, basis, coefficients, side / 2, part) for edge, part in zip(edges, parts, strict=True)
+        {fold.number: fold for fold in folds_of(edge, basis, coefficients, side / 2, part)}
+        for edge, part in zip(edges, parts, strict=True)
     ]
     return _ModelTrial(basis, parts, folds, shared)
 
 
 def _errors(trial: _ModelTrial, start: Adjustment, scatter: Float64, shared: Float64) -> Float64:
-    """Return, for each turn, the mean square of what left-out points lie off, in scatters of their pairs.
+    """Return the mean squared residual of the points of each left-out block, in scatters of their pairs.
 
-    NaN for turns in which none are left out.
-    `scatter` and `shared`, (edges,) standard deviations, are of the points and of what those of a pair share.
+    It is NaN for blocks without points. `scatter` and `shared` are the (edges,) standard deviations of the
+    points and of the error that those of a pair share.
     """
     network = _network(len(start.coefficients), trial.basis, start.fixed)
     found = np.full(BLOCKS**2, np.nan)
     for number in range(BLOCKS**2):
-        left_out = [next((fold for fold in folds if fold.number == number), None) for folds in trial.folds]
+        left_out = [folds.get(number) for folds in trial.folds]
         kept = [fold.kept if fold else part for part, fold in zip(trial.parts, left_out, strict=True)]
         without = network.coefficients(kept, np.ones(len(kept), bool), shared)
         total = count = 0.0
         for part, fold, unit in zip(trial.parts, left_out, scatter, strict=True):
             if fold is None or fold.kept is part:  # nothing of it was left out
                 continue
-            off = fold.observed - fold.values @ (without[part.second] - without[part.first])
-            total += float(np.minimum((off / unit) ** 2, 3.0**2).sum())
-            count += off.size
+            residual = fold.observed - fold.values @ (without[part.second] - without[part.first])
+            total += float(np.minimum((residual / unit) ** 2, 3.0**2).sum())
+            count += residual.size
         if count:
             found[number] = total / count
     return found

@@ -1,4 +1,4 @@
-"""The bands that the user names, their pairs, and the triangles that these close."""
+"""The bands that a quality report compares, their pairs, and the closure of triangles of three pairs."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def expand(
     """Return the bands requested by an argument of the command line.
 
     It is a raster, a product (see `products.find_product`) or a folder of rasters; ``FILE:2,4-6`` and
-    ``PRODUCT:B4,B10`` select these bands of it. If it names none they are `bands`, by default all that show
-    the ground. The `mask` is that of all, 0 = excluded; by default the product's own. Raises `InputError` if
-    the raster or product cannot be used, or lacks a band.
+    ``PRODUCT:B4,B10`` select these bands of it. Without such a suffix they are `bands`, by default all that
+    show the ground. The `mask` applies to all of them, 0 = excluded; the default is the mask of the product.
+    Raises `InputError` if the raster or product cannot be used, or lacks a band.
     """
     path, own = split_bands(raster)
     if not path:
@@ -110,17 +110,14 @@ def parse_bands(text: str) -> list[int | str]:
 
 
 def _of_raster(uri: str, wanted: Sequence[int | str] | None, mask: PathLike | None) -> list[Wanted]:
-    problem = no_product(uri)
-    if problem is not None:
-        raise InputError(problem)
+    for name in (None, *(band for band in wanted or () if isinstance(band, str))):
+        problem = no_product(uri, name)
+        if problem is not None:
+            raise InputError(problem)
     if wanted is None:
         with open_raster(uri) as dataset:
             kinds = zip(dataset.indexes, dataset.colorinterp, strict=True)
             wanted = [number for number, kind in kinds if kind != ColorInterp.alpha] or [1]
-    for number in wanted:
-        problem = no_product(uri, number) if isinstance(number, str) else None
-        if problem is not None:
-            raise InputError(problem)
     return [Wanted(uri, int(number), mask) for number in wanted]
 
 
@@ -183,13 +180,11 @@ def list_bands(
             f"a quality report compares two bands or more, and there is {len(found)}: give more "
             "rasters, or more bands of it"
         )
-    names = _names(found)
-    named = [replace(band, name=name) for band, name in zip(found, names, strict=True)]
-    return _finest_first(named)
+    return _finest_first([replace(band, name=name) for band, name in zip(found, _names(found), strict=True)])
 
 
 def find_band(bands: Sequence[Band], name: str) -> Band:
-    """Return the one of `bands` whose short name, description, file name or stem is, or ends with, `name`.
+    """Return the band whose short name, description, file name or stem is, or ends with, `name`.
 
     Raises `SettingsError` if no band or more than one has the name.
     """
@@ -249,25 +244,20 @@ def _described(wanted: Wanted) -> Band:
             description = dataset.descriptions[wanted.number - 1]
     px_m = middle_pixel_size_m(info.grid)
     known = native_px_m(Path(file_name(wanted.uri)).stem, description)
-    native = (known, known) if known else px_m
-    notes = (*wanted.notes, *collar)
     return Band(
         name="",
         info=info,
         description=description,
         px_m=px_m,
-        native_m=native,
+        native_m=(known, known) if known else px_m,
         native_known=known is not None,
         product=wanted.product,
-        notes=notes,
+        notes=(*wanted.notes, *collar),
     )
 
 
 def _names(bands: Sequence[Band]) -> list[str]:
-    """Return a short, unique name for each band: a word for its file if there are several, and its own.
-
-    A product counts as one file.
-    """
+    """Return a short, unique name for each band, with a word for its file or product if there are several."""
     sources = [band.product or band.file for band in bands]
     stems = [
         stem_of(source) if band.product else Path(source).stem
@@ -317,9 +307,8 @@ def _short_stems(stems: Sequence[str]) -> list[str]:
     first = {stem: re.split(r"[_\-. ]", stem)[0] for stem in different}
     if all(first.values()) and len(set(first.values())) == len(different):
         return [first[stem] for stem in stems]
-    low, high = min(different), max(different)  # what these two share is common to all
-    shared = next((i for i, pair in enumerate(zip(low, high, strict=False)) if pair[0] != pair[1]), len(low))
-    cut = max(low.rfind(mark, 0, shared) for mark in "_-. ") + 1
+    common = os.path.commonprefix(different)  # noqa: RUF071  # of their characters
+    cut = max(common.rfind(mark) for mark in "_-. ") + 1
     short = [stem[cut:] for stem in stems]
     return short if all(short) else list(stems)
 
@@ -334,10 +323,10 @@ class CellMean:
 
 
 def cell_means(at_px: Float64, values_px: Float64, side_px: float) -> dict[tuple[int, int], CellMean]:
-    """Return the mean of the values in each cell with enough points, by the cell's column and row.
+    """Return the mean of the values in each cell with three points or more, by the cell's column and row.
 
-    The positions `at_px` are an (n, 2) array (col, row), px; the `values_px` an (n, 2) array of the same
-    kind; `side_px` is the side of a cell.
+    The positions `at_px` and the `values_px` are (n, 2) arrays (col, row), px; `side_px` is the side of a
+    cell.
     """
     if len(at_px) == 0:
         return {}
@@ -369,7 +358,7 @@ class LocalMean:
 
 
 def local_means(points: TiePointTable, shape: tuple[int, int]) -> list[LocalMean]:
-    """Return the mean displacement in each square with enough tie points.
+    """Return the mean displacement in each square of the target with three tie points or more.
 
     The `shape` (rows, cols) is that of the target, px.
     """
@@ -400,7 +389,7 @@ class PairResult:
     points: TiePointTable | None = None
     """Tie points that agree with their neighbours; None for a refused pair."""
     rejected: int = 0
-    """Number of tie points that do not."""
+    """Number of tie points that disagree with their neighbours."""
     window_px: int = 0
     """Side of the window that the tie points were refined with; 0 for a refused pair."""
     statistics: Mapping[str, ErrorStatistics | None] = field(default_factory=dict)
@@ -420,14 +409,10 @@ class PairResult:
 
 
 def measured(reference: Band, target: Band, found: Registration) -> PairResult:
-    """Return the result of a pair that was matched.
-
-    What was `found` has the status ``matched`` or ``rejected``.
-    """
+    """Return the result of a pair by its registration, which has the status ``matched`` or ``rejected``."""
     reference, target = replace(reference, info=found.reference), replace(target, info=found.target)
-    table = found.tie_points
-    kept = table.select("matched")
-    rejected = len(table) - len(kept)
+    kept = found.tie_points.select("matched")
+    rejected = len(found.tie_points) - len(kept)
     if found.status == "rejected" or len(kept) == 0:
         reason = found.reason or "no tie points"
         return PairResult(reference, target, "refused", reason, found.warnings, rejected=rejected)
@@ -456,9 +441,8 @@ def statistics_by_unit(
 
     The bands `reference` and `target` define the pixel sizes; an unknown unit is None.
     """
-    one, native = np.ones(2), native_m(reference, target)
-    sizes_m = pixel_sizes_m(target.info.grid, points.predicted_px)
-    factors = {"px": one, "native px": one, "m": sizes_m}
+    native, sizes_m = native_m(reference, target), pixel_sizes_m(target.info.grid, points.predicted_px)
+    factors = {"px": np.ones(2), "native px": np.ones(2), "m": sizes_m}
     if target.px_m is not None and native is not None:
         factors["native px"] = native_per_px(target.px_m, native)
     return in_units(points.displacement_px, points.sigma_px, factors)
@@ -615,10 +599,10 @@ def standard_error(values: Float64, squares: Index) -> Float64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Net:
-    """The cells of a regular net on C, which share few pixels and few tie points."""
+    """The cells of a regular grid on C, so large that they share few pixels and few tie points."""
 
     squares: Index
-    """(n, 2) column and row of each cell in the net."""
+    """(n, 2) column and row of each cell in the grid."""
     places_px: Float64
     """(n, 2) mean position (col, row) of the tie points of A to C in each cell, px of A."""
     neighbours: tuple[int, int, int]
@@ -626,27 +610,23 @@ class _Net:
 
     @staticmethod
     def of(sides: tuple[TriangleSide, TriangleSide, TriangleSide], window_px: float) -> _Net:
-        """Define the net: the side of a cell is that of the window, or larger where tie points are sparse.
+        """Define the grid: the side of a cell is that of the window, or larger where tie points are sparse.
 
         The `sides` are the pairs A to B, B to C and A to C; the window is `window_px` wide, px of C.
         """
         ab, bc, ac = (each.points for each in sides)
-        per_a_px = _typical_reach_px(ac.predicted_px) / _typical_reach_px(ac.reference_px)
-        reach_px = np.array(
-            [
-                _typical_reach_px(ab.reference_px) * per_a_px,
-                _typical_reach_px(bc.predicted_px),
-                _typical_reach_px(ac.predicted_px),
-            ]
+        of_ab_px, of_bc_px, of_ac_px, of_ac_in_a_px = (
+            _typical_reach_px(each)
+            for each in (ab.reference_px, bc.predicted_px, ac.predicted_px, ac.reference_px)
         )
+        reach_px = np.array([of_ab_px * (of_ac_px / of_ac_in_a_px), of_bc_px, of_ac_px])
         enough_px = np.sqrt(np.pi) * reach_px  # side of a square with the area of the neighbours' circle
         side = max(window_px, float(enough_px.max()))
         found = cell_means(ac.predicted_px, ac.reference_px, side)
         to_b, from_b, direct = np.round(MIN_NEIGHBOURS * (side / enough_px) ** 2).astype(int).tolist()
-        places = np.array([cell.mean_px for cell in found.values()])
-        return _Net(
-            np.array(list(found), np.intp).reshape(-1, 2), places.reshape(-1, 2), (to_b, from_b, direct)
-        )
+        squares = np.array(list(found), np.intp).reshape(-1, 2)
+        places_px = np.array([cell.mean_px for cell in found.values()]).reshape(-1, 2)
+        return _Net(squares, places_px, (to_b, from_b, direct))
 
 
 def _typical_reach_px(points_px: Float64) -> float:

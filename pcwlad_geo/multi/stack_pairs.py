@@ -1,4 +1,4 @@
-"""The pairs of a stack: which are worth measuring, and what the matching of each gives."""
+"""The pairs of a stack: which are matched, and the result of each."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import shapely
@@ -27,7 +27,7 @@ from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.limits import check_coordinates
 from pcwlad_geo.multi.network import Edge, basis_over, ends_of
 from pcwlad_geo.multi.stack_inputs import StackInput, number_of, read_table
-from pcwlad_geo.options import Settings
+from pcwlad_geo.options import SETTINGS, Settings
 from pcwlad_geo.products import of_one_product
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px, middle_pixel_size_m
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
@@ -37,7 +37,6 @@ from pcwlad_geo.registration.fitting import (
     GRADES,
     POOR_KEPT_SHARE,
     Grade,
-    Reason,
     displaced_otherwise,
 )
 from pcwlad_geo.registration.inputs import estimate_tile_count
@@ -53,25 +52,25 @@ if TYPE_CHECKING:
 PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""
 SMALL_TILES: Final = 4
-"""Pairs of so many tiles or fewer are matched as a whole, several at a time."""
+"""Largest number of tiles of a pair that is matched as a whole, in one of several processes."""
 MIN_PAIR_POINTS: Final = 12
 """Least number of tie points of a pair."""
 MIN_CONTROL: Final = 4
 """Least number of control points of an image."""
 LEAST_CONTROL_SIGMA_PX: Final = 1e-3
-"""Least standard deviation of a control point: no position in an image is known better, px of the frame."""
+"""Least standard deviation of a control point, px of the frame: no position in an image is known better."""
 CONTROL_COLUMNS: Final = ("image", "col", "row", "x", "y")
 """Columns that a table of control points must have."""
 CONTROL_SIGMA_PX: Final = 0.5
-"""Standard deviation of a control point where the table tells none, px of the frame."""
+"""Standard deviation of a control point for which the table has none, px of the frame."""
 
 PLACE_PX: Final = 60.0
-"""Side of the squares that count as separate places of a pair, px of the frame: as the pair's own verdict."""
+"""Side of the squares by whose number the evidence of a pair is measured, px of the frame."""
 PRODUCT_SIGMA_M: Final = 5.0
-"""Standard deviation of a band of a product beside another along an axis, metres: what Landsat 8 requires of
-its bands (LE90 4.5 m, thermal ones 30 m), and Sentinel-2 (0.3 px at three sigmas), is on both sides of it."""
+"""Standard deviation of the misregistration of two bands of a product along an axis, metres. The requirements
+of Landsat 8 (LE90 4.5 m, thermal bands 30 m) and Sentinel-2 (0.3 px at three sigmas) lie on both sides."""
 CONTROL_EVIDENCE: Final = 50.0
-"""Evidence of control points: as of a pair with points in so many places."""
+"""Evidence of the control points of an image: that of a pair with points in this number of squares."""
 
 PairStatus = Literal["used", "left out", "refused"]
 
@@ -89,11 +88,11 @@ class StackPair:
     """Its tie points and report; in stack.json relative to that file."""
     points: int = 0
     offset_px: tuple[float, float] | None = None
-    """By how much its points lie off the adjustment on average (col, row), px of the frame."""
+    """Mean residual of its points from the adjustment (col, row), px of the frame."""
     sigma_px: float | None = None
     """Standard deviation of that along an axis, if the pair is right."""
     redundancy: float | None = None
-    """Share of the offset that other pairs check; nothing tells whether a pair of 0 is wrong."""
+    """Share of the offset that other pairs check; an error of a pair of 0 cannot be found."""
     scatter_px: float | None = None
     """Robust standard deviation of its points along an axis, px of the frame."""
     quality: Grade | None = None
@@ -101,14 +100,14 @@ class StackPair:
     quality_reasons: tuple[str, ...] = ()
     """Why it is not good."""
     motions: tuple[Motion, ...] = ()
-    """What parts of its matches agree on, where that is more than one displacement: that used comes first."""
+    """Displacements that parts of its matches agree on, if there are several; the one used comes first."""
     ce90_px: float | None = None
-    """Distance from the adjustment within which 90 % of its points lie, five neighbours averaged, px of the
+    """90th percentile of the distance of its points from the adjustment, means of five neighbours, px of the
     frame."""
     empty_share: float | None = None
-    """Of the squares of its reference in which both images have data, the part without a tie point."""
+    """Share without a tie point of the squares of its reference in which both images have data."""
     jitter_px: float = 0.0
-    """By how much rows and columns move within a window that matched it, RMS, target px; 0 where not seen."""
+    """RMS displacement of rows and columns within a matching window, target px; 0 where none was found."""
     proof: Proof | None = None
     """The tool's own error on the pair, target px, without its map; null where no proof was asked for."""
 
@@ -120,7 +119,7 @@ class StackPair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackFrame:
-    """The images, and the grid in whose px all are compared."""
+    """The images, and the grid in whose pixels all are compared."""
 
     names: list[str]
     infos: list[RasterInfo]
@@ -128,12 +127,12 @@ class StackFrame:
     placed: bool
     """Whether all images are georeferenced; otherwise their pixels are compared."""
     inputs: tuple[StackInput, ...] = ()
-    """The images as they were named; none: the files of `infos`."""
+    """The images as the user gave them; empty: the files of `infos`."""
     reference: int = 0
     """Number of the image whose grid it is."""
 
     def given(self, image: int) -> StackInput:
-        """Return an image as it was named."""
+        """Return an image as the user gave it."""
         info = self.infos[image]
         return self.inputs[image] if self.inputs else StackInput(info.uri, info.band, self.names[image])
 
@@ -146,7 +145,7 @@ class StackFrame:
         return map_px(px, self.grid, self.infos[image].grid) if self.placed else px
 
     def scale(self, image: int, px: Float64) -> Float64:
-        """Return the (n, 2, 2) derivatives of the frame's px by an image's, at its (n, 2) `px`."""
+        """Return the (n, 2, 2) Jacobian of `from_image` at the (n, 2) `px` of an image."""
         if not self.placed:
             return np.broadcast_to(np.eye(2), (len(px), 2, 2))
         return jacobian(px, self.infos[image].grid, self.grid)
@@ -169,10 +168,10 @@ def measure(
     on_event: EventCallback,
     runner: Runner,
 ) -> Iterator[Measured]:
-    """Yield what each pair gave, matched now or by an earlier run on the same files.
+    """Yield the result of each pair, matched now or by an earlier run on the same files.
 
-    Pairs of few tiles are matched each as a whole, several at a time; of larger ones, one after another, the
-    tiles are.
+    Pairs of few tiles are matched in parallel, each as a whole; larger ones one after another, their tiles in
+    parallel.
     """
     tasks = [_task(frame, pair, folder, settings) for pair in chosen]
     on_event(Progress("pairs", 0, len(tasks)))
@@ -182,7 +181,7 @@ def measure(
     reasons = dict(zip(small, refused, strict=True))
     for done, number in enumerate(sorted(set(todo) - set(small)), len(tasks) - len(todo) + len(small)):
         on_event(Progress("pairs", done, len(tasks)))
-        reasons[number] = match_pair(*tasks[number].arguments, on_event, runner)
+        reasons[number] = match_pair(*tasks[number], on_event, runner)
     for number, (pair, task) in enumerate(zip(chosen, tasks, strict=True)):
         yield measured_pair(frame, pair, task.place, reasons.get(number), on_event)
     on_event(Progress("pairs", len(tasks), len(tasks)))
@@ -191,11 +190,11 @@ def measure(
 def measured_pair(
     frame: StackFrame, pair: tuple[int, int], place: Path, reason: str | None, on_event: EventCallback
 ) -> Measured:
-    """Return what a matched pair gave, from its folder unless there is a reason that it gave nothing."""
+    """Return the result of a matched pair, from its folder unless there is a `reason` for its refusal."""
     names = frame.names[pair[0]], frame.names[pair[1]]
     edge, report = None, {}
     if reason is None:
-        report = read_report(place)  # also its warnings: a run that was killed and goes on tells the same
+        report = read_report(place)  # also its warnings, so that a resumed run repeats them
         for warning in report.get("warnings", ()):
             on_event(Warned(f"{names[0]} – {names[1]}: {warning}"))
         reason = str(report.get("reason")) if report.get("status") == "rejected" else None
@@ -210,7 +209,7 @@ def measured_pair(
 
 
 def _validated(kind: type[T], found: object, place: Path) -> T:
-    """Return what the report of a pair holds as a `kind`; raises `OutputError` if it is damaged."""
+    """Return a part of the report of a pair as a `kind`; raises `OutputError` if it is damaged."""
     try:
         return TypeAdapter(kind).validate_python(found)
     except ValidationError as error:
@@ -220,8 +219,8 @@ def _validated(kind: type[T], found: object, place: Path) -> T:
 
 def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     """Return a pair with the grade that its points and its report give it."""
-    left = _off_smooth(edge.first_xy, edge.second_xy, np.ones(len(edge), bool))
-    off_px, counts = float(np.percentile(np.hypot(*left.T), 90)), report.get("tie_points", {})
+    residual_px = _smooth_residuals(edge.first_xy, edge.second_xy, np.ones(len(edge), bool))
+    off_px, counts = float(np.percentile(np.hypot(*residual_px.T), 90)), report.get("tie_points", {})
     jitter_px = float(report.get("jitter_px", 0.0))
     kept = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
     reasons: list[tuple[Grade, str]] = (
@@ -232,7 +231,10 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
         reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
     if kept < POOR_KEPT_SHARE:
         reasons.append(("poor", f"only {100 * kept:.0f} % of the matches agree with their neighbours"))
-    reasons += [(each.grade, each.text) for each in _displaced_otherwise(pair.folder)]
+    points = read_point_file(pair.folder / "tiepoints.csv")
+    rejected_px = _smooth_residuals(points.reference, points.target, points.enabled)[~points.enabled]
+    otherwise = displaced_otherwise(rejected_px, len(points.enabled))
+    reasons += [(each.grade, each.text) for each in otherwise]
     grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
     texts = tuple(text for _, text in reasons)
     values = report.get("proof")
@@ -241,35 +243,22 @@ def graded(pair: StackPair, edge: Edge, report: Mapping[str, Any]) -> StackPair:
     return replace(pair, quality=grade, quality_reasons=texts, jitter_px=jitter_px, proof=proof)
 
 
-def _displaced_otherwise(place: Path) -> Iterator[Reason]:
-    """Yield a reason where many of the matches that a pair rejected agree on one other displacement."""
-    points = read_point_file(place / "tiepoints.csv")
-    off_px = _off_smooth(points.reference, points.target, points.enabled)
-    return displaced_otherwise(off_px[~points.enabled], len(points.enabled))
-
-
-def _off_smooth(first_xy: Float64, second_xy: Float64, kept: Bool) -> Float64:
-    """Return how far (n, 2) displacements lie off a polynomial of those that are `kept`, an (n,) mask."""
+def _smooth_residuals(first_xy: Float64, second_xy: Float64, kept: Bool) -> Float64:
+    """Return the (n, 2) residuals of displacements from a polynomial fitted to the `kept`, an (n,) mask."""
     moved, values = second_xy - first_xy, basis_over([first_xy[kept]], "polynomial2").values(first_xy)
     return moved - values @ least_squares(values[kept], moved[kept])
 
 
-@dataclass(frozen=True, slots=True)
-class _PairTask:
-    """A pair to be matched."""
+class _PairTask(NamedTuple):
+    """A pair to be matched: the arguments of `match_pair` and `match_elsewhere`."""
 
     inputs: tuple[str, str]
     settings: Settings
     place: Path
 
     @property
-    def arguments(self) -> tuple[tuple[str, str], Settings, Path]:
-        """What `match_pair` and `match_elsewhere` are called with."""
-        return self.inputs, self.settings, self.place
-
-    @property
     def small(self) -> bool:
-        """Whether it has few tiles, so that its processes would wait for each other."""
+        """Whether it has so few tiles that processes would idle if they were matched in parallel."""
         return 0 < estimate_tile_count(*self.inputs, self.settings) <= SMALL_TILES
 
     def finished(self) -> bool:
@@ -288,7 +277,7 @@ def _task(frame: StackFrame, pair: tuple[int, int], folder: Path, settings: Sett
 def _match_whole(
     tasks: Sequence[_PairTask], count: int, left: int, on_event: EventCallback, runner: Runner
 ) -> list[str | None]:
-    """Match pairs, several at a time; return why each was refused, None where the folder tells.
+    """Match pairs in parallel; return the reasons of `match_pair`.
 
     `count` is the number of all pairs, of which `left` are not finished.
     """
@@ -298,14 +287,14 @@ def _match_whole(
             event = Progress("pairs", event.done + count - left, count)
         on_event(event)
 
-    calls = [task.arguments for task in tasks]
     if not tasks:
         return []
+    calls = [tuple(task) for task in tasks]  # workers elsewhere need not load this module
     if runner.is_local:  # each is written where it is matched
         return runner.run(match_pair, calls, "pairs", of_all).results
     found = runner.run(match_elsewhere, calls, "pairs", of_all).results
     return [
-        each if isinstance(each, str) else _kept(partial(write_match, each, *task.inputs), task)
+        each if isinstance(each, str) else _refusal(partial(write_match, each, *task.inputs), task)
         for task, each in zip(tasks, found, strict=True)
     ]
 
@@ -317,26 +306,26 @@ def match_pair(
     on_event: EventCallback = ignore,
     runner: Runner | None = None,
 ) -> str | None:
-    """Match a pair of files into the folder `place`; return why it could not be, None where the folder tells.
+    """Match a pair of files into the folder `place`; return why it cannot be matched.
 
-    The runner, this process by default, runs the tiles. Warnings are told later, from the folder.
+    None if the folder has the result, which may be a rejection. The runner, this process by default, runs the
+    tiles. Warnings are sent later, from the folder.
     """
 
     def of_this(event: Event) -> None:
         if not isinstance(event, Warned):
             on_event(event)
 
-    task = _PairTask(inputs, settings, place)
-    return _kept(partial(match_files, *inputs, on_event=of_this, executor=runner or InThisProcess()), task)
+    job = partial(match_files, *inputs, on_event=of_this, executor=runner or InThisProcess())
+    return _refusal(job, _PairTask(inputs, settings, place))
 
 
-def _kept(job: Callable[..., Registration], task: _PairTask) -> str | None:
-    """Call a job that writes the folder of a pair; return why it could not be matched."""
-    given: dict[str, Any] = {name: getattr(task.settings, name) for name in asdict(task.settings)}
+def _refusal(job: Callable[..., Registration], task: _PairTask) -> str | None:
+    """Call a job that writes the folder of a pair; return the reason of `match_pair`."""
+    given: dict[str, Any] = {name: getattr(task.settings, name) for name in SETTINGS}
     try:
-        job(out_dir=task.place, overwrite=True, **given)
-    except RegistrationRejectedError:
-        return None
+        with suppress(RegistrationRejectedError):
+            job(out_dir=task.place, overwrite=True, **given)
     except InputError as error:
         return joined(error)
     return None
@@ -346,11 +335,11 @@ PAIR_DEFAULTS: Final[dict[str, Any]] = {
     "model": "auto", "like": None, "require": (), "keep": False,
     "of": "COG", "co": (), "resampling": "lanczos",
 }  # fmt: skip
-"""Options of the corrected images, which say nothing of a pair."""
+"""Options of the corrected images, which do not affect the matching of a pair."""
 
 
 def edge_of(frame: StackFrame, one: int, other: int, place: Path) -> Edge | None:
-    """Read the tie points of a pair, as all runs find them; None if they are too few."""
+    """Read the tie points of a pair from its folder; None if they are too few."""
     points = read_point_file(place / "tiepoints.csv")
     sigma_px = points.sigma_px
     if sigma_px is None:
@@ -370,7 +359,10 @@ def edge_of(frame: StackFrame, one: int, other: int, place: Path) -> Edge | None
 
 
 def sigma_known(frame: StackFrame, datum: int | None, count: int) -> Float64 | None:
-    """Return the (count,) sigmas, px of the frame, by which images lie as the datum does: of its product."""
+    """Return the (count,) prior sigmas (see `adjust`) of images, px of the frame; None if there are none.
+
+    The displacements of bands of the product that the datum belongs to are known beforehand.
+    """
     sizes_m = middle_pixel_size_m(frame.grid)
     if datum is None or datum >= len(frame.infos) or sizes_m is None or not frame.placed:
         return None
@@ -382,7 +374,7 @@ def sigma_known(frame: StackFrame, datum: int | None, count: int) -> Float64 | N
 
 @dataclass(frozen=True, slots=True)
 class ControlPoint:
-    """A place of an image whose ground is known."""
+    """A position in an image whose ground position is known."""
 
     image: str
     """Name of the image."""
@@ -425,10 +417,10 @@ def check_control(point: ControlPoint, origin: str) -> None:
 
 
 def control_edges(points: Sequence[ControlPoint], frame: StackFrame, ground: int | None = None) -> list[Edge]:
-    """Return control points, image by image, as pairs with the ground itself.
+    """Return the control points of each image as a pair of the ground itself and the image.
 
-    The number of the `ground` among the images is that after the last image by default. Raises `InputError`
-    if they name no image of the frame or are too few, or the images are not georeferenced.
+    The number of the `ground` is that after the last image by default. Raises `InputError` if they name no
+    image of the frame or are too few, or the images are not georeferenced.
     """
     if points and not frame.placed:
         raise InputError("images without georeferencing have no place for control points")
@@ -442,26 +434,22 @@ def control_edges(points: Sequence[ControlPoint], frame: StackFrame, ground: int
         own = [point for point in points if point.image == name]
         if len(own) < MIN_CONTROL:
             raise InputError(f"there are {len(own)} control points of {name}: give {MIN_CONTROL}")
-        at_px = np.array([(point.col, point.row) for point in own])
-        on_ground = frame.grid.to_px(np.array([(point.x, point.y) for point in own]))
-        sigma = np.array([point.sigma / unit if point.sigma else CONTROL_SIGMA_PX for point in own])
-        sigma = np.maximum(sigma, LEAST_CONTROL_SIGMA_PX)
         image = frame.names.index(name)
-        size_px = sum(frame.grid.shape) + sum(frame.infos[image].grid.shape)
-        check_place(name, frame.from_image(image, at_px), on_ground, size_px)
-        covariance = sigma[:, None, None] ** 2 * np.eye(2)
+        at_px = frame.from_image(image, np.array([(point.col, point.row) for point in own]))
+        on_ground = frame.grid.to_px(np.array([(point.x, point.y) for point in own]))
+        check_place(name, at_px, on_ground, sum(frame.grid.shape) + sum(frame.infos[image].grid.shape))
+        sigma = np.array([point.sigma / unit if point.sigma else CONTROL_SIGMA_PX for point in own])
+        covariance = np.maximum(sigma, LEAST_CONTROL_SIGMA_PX)[:, None, None] ** 2 * np.eye(2)
         number = len(frame.names) if ground is None else ground
-        found.append(
-            Edge(number, image, on_ground, frame.from_image(image, at_px), covariance, None, CONTROL_EVIDENCE)
-        )
+        found.append(Edge(number, image, on_ground, at_px, covariance, evidence=CONTROL_EVIDENCE))
     return found
 
 
 def check_place(name: str, at_px: Float64, placed_px: Float64, size_px: int) -> None:
-    """Raise `InputError` if control points lie nowhere near the image `name` that they are of.
+    """Raise `InputError` if the control points of the image `name` do not lie on it.
 
-    Their (n, 2) places in it are `at_px`, and the (n, 2) `placed_px` are those of the same ground by its
-    georeferencing; `size_px` is by how much these may differ.
+    Their (n, 2) positions in it are `at_px`, and the (n, 2) `placed_px` are those of their ground positions
+    by its georeferencing; `size_px` is the largest median difference.
     """
     check = "check the order of x and y, their CRS, which is that of the reference, and heights"
     for col, row in at_px[~np.isfinite(placed_px).all(axis=1)][:1]:
@@ -480,10 +468,9 @@ def check_place(name: str, at_px: Float64, placed_px: Float64, size_px: int) -> 
 def check_connected(
     frame: StackFrame, edges: Sequence[Edge], reference: int, folder: Path, split: bool
 ) -> str:
-    """Return a warning where the pairs that were matched do not connect all images; empty where they do.
+    """Return a warning if the pairs that were matched do not connect all images, an empty text if they do.
 
-    Raises `RegistrationRejectedError` unless it may be `split` into groups, or where no pair could be
-    matched.
+    Raises `RegistrationRejectedError` if they may not be `split` into groups, or no pair could be matched.
     """
     group = components(ends_of(edges), len(frame.names) + 1)
     groups = [
@@ -507,36 +494,36 @@ def check_connected(
 
 
 ALL_PAIRS: Final = 8
-"""Of so many images every pair is measured."""
+"""Largest number of images all of whose pairs are measured."""
 MIN_OVERLAP: Final = 0.1
 """Least common ground of a pair, as a share of the smaller image."""
 OVERVIEW_PX: Final = 128
 """Longer side of an overview, px."""
 OVERLAP_CELLS: Final = 64
-"""The common ground of all images is compared at so many places along each axis."""
+"""Number of positions along each axis at which the overviews of all images are compared."""
 UNCERTAIN_VARIANCE: Final = 0.75
-"""An image whose position has a larger variance, in those of a usual pair, gets one more pair."""
+"""Variance of the position of an image, in those of a median pair, above which it gets another pair."""
 LEAST_COST: Final = 0.2
-"""The variance of a pair is taken as the square of this and its cost."""
+"""The variance of a pair is taken as the square of the sum of this and its cost."""
 UNCERTAIN_SIGMA: Final = 1.5
-"""An image of a sigma larger than so many medians gets further pairs."""
+"""Ratio of the sigma of an image to the median of all above which it gets further pairs."""
 DIRECT_IMAGES: Final = 300
-"""Of more images the variances are not asked for, which take dense matrices."""
+"""Largest number of images whose variances are computed, which takes dense matrices."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A pair with common ground, and how little promising it is."""
+    """A pair with common ground, and its cost: low for images that are likely to match well."""
 
     pair: tuple[int, int]
     cost: float
 
 
 def read_overview(info: RasterInfo) -> Float64 | None:
-    """Return a (rows, cols) image of where an image shows edges; NaN where it shows nothing.
+    """Return the (rows, cols) gradient magnitude of an overview of an image; NaN where it has no data.
 
-    It has at most `OVERVIEW_PX` px a side; None where reading it would take as long as reading a large image.
-    Raises `InputError` if the pixels cannot be read.
+    It has at most `OVERVIEW_PX` px a side; None for a large image without stored overviews. Raises
+    `InputError` if the pixels cannot be read.
     """
     if not has_quick_overview(info):
         return None
@@ -555,17 +542,17 @@ def read_overview(info: RasterInfo) -> Float64 | None:
 def candidates(
     frame: StackFrame, inputs: Sequence[StackInput], overviews: Sequence[Float64 | None]
 ) -> list[Candidate]:
-    """Return all pairs with common ground, the most promising first.
+    """Return all pairs with common ground, those of the lowest cost first.
 
-    The `overviews` of the images are those of `read_overview`, each (rows, cols) or None. What counts is how
-    alike their edges are (bands of one kind, one season, without clouds), then season, sun, years between
-    them, clouds told by the metadata, common ground and pixels of one size.
+    The `overviews` of the images are those of `read_overview`, each (rows, cols) or None. The cost depends on
+    the correlation of the overviews first (bands of one kind, one season, without clouds), then on season,
+    sun, years between the images and clouds by the metadata, common ground and the ratio of pixel sizes.
     """
     outlines = [
         shapely.Polygon(frame.from_image(number, info.grid.boundary_px()))
         for number, info in enumerate(frame.infos)
     ]
-    alike = _likeness(frame, overviews)
+    alike = _correlations(frame, overviews, shapely.total_bounds(outlines))
     pixel = [frame.pixel(number) for number in range(len(frame.infos))]
     found = []
     for one, other in combinations(range(len(outlines)), 2):
@@ -583,7 +570,7 @@ def _overlap(one: shapely.Polygon, other: shapely.Polygon) -> float:
 
 
 def _metadata_cost(one: StackInput, other: StackInput) -> float:
-    """Return what dates, sun and clouds of the metadata say against a pair."""
+    """Return the part of the cost of a pair that depends on dates, sun and clouds in the metadata."""
     cost = 0.25 * ((one.cloud or 0.0) + (other.cloud or 0.0))
     if one.day is not None and other.day is not None:
         days = abs((one.day - other.day).days)
@@ -594,10 +581,12 @@ def _metadata_cost(one: StackInput, other: StackInput) -> float:
     return cost
 
 
-def _likeness(frame: StackFrame, overviews: Sequence[Float64 | None]) -> Float64:
-    """Return the (images, images) correlation of the overviews on common ground; 0.5 where unknown."""
-    corners = [frame.from_image(number, info.grid.boundary_px()) for number, info in enumerate(frame.infos)]
-    low, high = np.min(np.vstack(corners), axis=0), np.max(np.vstack(corners), axis=0)
+def _correlations(frame: StackFrame, overviews: Sequence[Float64 | None], bounds: Float64) -> Float64:
+    """Return the (images, images) correlations of the overviews on common ground; 0.5 where unknown.
+
+    They are compared within the (4,) `bounds`, px of the frame.
+    """
+    low, high = bounds.reshape(2, 2)
     step = (np.arange(OVERLAP_CELLS) + 0.5) / OVERLAP_CELLS
     at = low + np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2) * (high - low)
     samples = np.stack([_sampled(frame, number, overview, at) for number, overview in enumerate(overviews)])
@@ -631,14 +620,14 @@ def _sampled(frame: StackFrame, image: int, overview: Float64 | None, at: Float6
 def choose_pairs(
     found: Sequence[Candidate], images: int, most: int | None = None, before: Sequence[tuple[int, int]] = ()
 ) -> list[tuple[int, int]]:
-    """Return the pairs to measure, at `most` so many, those without which the rest is worth less first.
+    """Return the pairs to measure, the most important first, not more than `most`.
 
-    The candidates are `found` the most promising first, for so many `images`. Pairs measured `before`, by an
-    earlier run, stay, and only images that have none get others.
+    The candidates `found` are in the order of their cost; `images` is the number of images. Pairs measured
+    `before`, by an earlier run, are kept, and only images that have none get others.
     """
     known = {image for pair in before for image in pair}
     chosen = dict.fromkeys(before)
-    for _ in range(3):  # two close a cycle with every pair
+    for _ in range(3):  # two spanning trees without common pairs would close a cycle with every pair
         chosen |= dict.fromkeys(_spanning_tree(found, images, known, chosen))
     if images <= ALL_PAIRS:
         chosen |= dict.fromkeys(each.pair for each in found if not known.issuperset(each.pair))
@@ -650,14 +639,12 @@ def choose_pairs(
 def _spanning_tree(
     found: Sequence[Candidate], images: int, known: set[int], taken: Mapping[tuple[int, int], None]
 ) -> Iterator[tuple[int, int]]:
-    """Yield the cheapest pairs not taken that connect all images (Kruskal); those known are connected."""
-    tree = list(range(images))
-    for image in known:
-        tree[image] = min(known)
+    """Yield the pairs not taken of a minimum spanning tree (Kruskal); the images `known` are connected."""
+    roots = [min(known) if image in known else image for image in range(images)]
     for each in found:
-        one, other = (tree[image] for image in each.pair)
+        one, other = (roots[image] for image in each.pair)
         if one != other and each.pair not in taken:
-            tree = [one if root == other else root for root in tree]
+            roots = [one if root == other else root for root in roots]
             yield each.pair
 
 
@@ -672,8 +659,7 @@ def _strengthening(
     for pair in chosen:
         _connect(laplace, pair, weight[pair] / usual)
     while len(taken) < 4 * images:
-        variance = np.diag(pseudo_inverse(laplace[1:, 1:], hermitian=True))
-        variance = np.concatenate([[0.0], variance])
+        variance = np.insert(np.diag(pseudo_inverse(laplace[1:, 1:], hermitian=True)), 0, 0.0)
         another = _another(found, taken, variance)
         if another is None:
             return
@@ -685,7 +671,7 @@ def _strengthening(
 def _another(
     found: Sequence[Candidate], taken: set[tuple[int, int]], variance: Float64
 ) -> tuple[int, int] | None:
-    """Return a pair for the image of the largest variance that can get one; None where none needs it."""
+    """Return a pair for the image of the largest variance that can get one; None if no image needs one."""
     for worst in np.argsort(-variance, kind="stable").tolist():
         if variance[worst] <= UNCERTAIN_VARIANCE:
             return None
@@ -697,7 +683,7 @@ def _another(
 
 
 def _connect(laplace: Float64, pair: tuple[int, int], weight: float) -> None:
-    """Add a pair to the matrix whose inverse tells how well images are connected."""
+    """Add a pair to the weighted Laplacian matrix of the graph of pairs."""
     one, other = pair
     laplace[[one, other], [one, other]] += weight
     laplace[[one, other], [other, one]] -= weight
@@ -707,18 +693,17 @@ def asked_by_sigma(
     found: Sequence[Candidate],
     chosen: Sequence[tuple[int, int]],
     sigma: Float64,
-    kinds: Sequence[object] | None = None,
+    kinds: Sequence[object],
 ) -> list[tuple[int, int]]:
-    """Return further pairs, two an image, for images of an unusually large sigma.
+    """Return further pairs, at most two each, for images of an unusually large sigma.
 
-    What one kind of image sees otherwise than another is the same in all pairs of the two kinds, and only
-    pairs with a third kind average it: kinds with which an image has the fewest pairs come first. The
-    candidates are `found` the most promising first, and those `chosen` are there already. The (images,) array
-    `sigma` has the standard deviation of the position of each; all are of one of the `kinds` by default.
+    All pairs of two kinds of images may have an error in common, which only pairs with a third kind average:
+    kinds with which an image has the fewest pairs come first. The candidates `found` are in the order of
+    their cost, and those `chosen` were measured. The (images,) array `sigma` has the standard deviation of
+    the position of each image, and `kinds` its kind.
     """
     limit = UNCERTAIN_SIGMA * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
-    kinds = kinds if kinds is not None else [None] * len(sigma)
-    taken, more = dict.fromkeys(chosen), []
+    taken = dict.fromkeys(chosen)
     for image in np.flatnonzero(sigma > limit).tolist():
         for _ in range(2):
             with_kind = Counter(kinds[sum(pair) - image] for pair in taken if image in pair)
@@ -728,10 +713,8 @@ def asked_by_sigma(
                 if image in each.pair and each.pair not in taken and sigma[sum(each.pair) - image] <= limit
             ]
             if free:
-                pair = min(free, key=lambda pair: with_kind[kinds[sum(pair) - image]])
-                taken[pair] = None
-                more.append(pair)
-    return more
+                taken[min(free, key=lambda pair: with_kind[kinds[sum(pair) - image]])] = None
+    return [pair for pair in taken if pair not in chosen]
 
 
 def listed_pairs(table: PathLike, frame: StackFrame, inputs: Sequence[StackInput]) -> list[tuple[int, int]]:
@@ -748,12 +731,11 @@ def listed_pairs(table: PathLike, frame: StackFrame, inputs: Sequence[StackInput
         ends = []
         for column in ("reference", "target"):
             text = row[column]
-            place = str((Path(table).parent / text).resolve())
-            if text not in number and place not in number:
-                raise InputError(
-                    f"{table} names {text}, which is none of the images {', '.join(frame.names)}"
-                )
-            ends.append(number.get(text, number.get(place, 0)))
+            end = number.get(text, number.get(str((Path(table).parent / text).resolve())))
+            if end is None:
+                names = ", ".join(frame.names)
+                raise InputError(f"{table} names {text}, which is none of the images {names}")
+            ends.append(end)
         if ends[0] == ends[1]:
             raise InputError(f"{table} has a pair of {row['reference']} with itself")
         chosen[min(ends), max(ends)] = None

@@ -51,7 +51,7 @@ from pcwlad_geo.text import csv_of
 from pcwlad_geo.types import Float64
 
 SCHEMA_VERSION: Final = 1
-"""Of stack.json."""
+"""Version of the format of stack.json."""
 NUMBERS: Final = "stack.json"
 """File name of all results."""
 TABLE: Final = "stack.csv"
@@ -64,10 +64,10 @@ COLUMNS: Final = (
 )
 """Columns of that table."""
 FILES: Final = (NUMBERS, TABLE, PAGE)
-"""Files of a stack beside its rasters, in the order in which they are written."""
+"""Files of a stack other than rasters and STAC files."""
 Chosen = Literal["auto", "listed", "limited"]
 NODES: Final = 15
-"""Places along each axis of an image at which its correction is fitted and its sigma averaged."""
+"""Number of nodes along each axis of an image at which its correction is fitted and its sigma averaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class RpcFiles:
     origin: str
     """File or tag in which the original was found."""
     fold_error_px: float | None
-    """Largest distance between the corrected RPC and the correction of the original one, px."""
+    """Largest difference between the corrected RPC and the original one with its correction, px."""
     vrt: str
     """File name of the original pixels with the corrected RPC."""
     text: str
@@ -95,42 +95,42 @@ class ImageRpc(RpcFiles):
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """How an image fits what a block of RPC images lies on, beside how the images fit each other."""
+    """How an image of a block of RPC images fits the reference or the control points."""
 
     kind: Literal["reference", "control points"]
     image: str
     points: int
     median_px: tuple[float, float]
-    """Median distance (col, row) of its points, px of the image."""
+    """Median residual (col, row) of its points, px of the image."""
     rmse_px: float
     rmse_m: float
     residuals_px: tuple[tuple[float, float], ...] | None
-    """Of each control point (col, row), px, in the order of the table; null of a reference."""
+    """Of each control point (col, row), px, in the order of the table; null for a reference."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemCheck:
-    """What the tie points say of the DEM."""
+    """The errors of the DEM that the tie points indicate."""
 
     uri: str
     too_high_m: float | None
-    """How much too high the DEM would be if the biases of the RPCs came from it; null without parallax."""
+    """Height error of the DEM that would explain the biases of the RPCs; null without parallax."""
     by_chance: float | None
-    """Probability that biases of random directions look so much like it."""
+    """Probability that biases of random directions would be explained as well."""
     separation_px: float | None
-    """By how much that would set two images apart, at most."""
+    """Largest displacement between two images that this height error causes."""
     offset_m: tuple[float, float] | None
-    """How far (x, y) the relief of the DEM lies beside that of the tie points; null where it cannot tell."""
+    """Horizontal offset (x, y) of the relief of the DEM from that of the tie points; null if unknown."""
     offset_sigma_m: tuple[float, float] | None
     scale: float | None
-    """By how much a metre of the DEM's relief is too high; null where it cannot tell."""
+    """Relative scale error of the heights of the DEM, positive if its relief is too high; null if unknown."""
     scale_sigma: float | None
     scatter_m: float
     """Robust standard deviation of the DEM's heights at the tie points."""
     off_m: float
-    """Error of 90 % of the heights, less their mean, where the relief clearly lies elsewhere; 0 otherwise."""
+    """Error of 90 % of the heights, less their mean, if the horizontal offset is significant; 0 otherwise."""
     faults: tuple[str, ...]
-    """What speaks against it, each a sentence; empty if nothing does."""
+    """Its significant errors, each a sentence; empty if there are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,22 +142,22 @@ class BlockNumbers:
     scores_px: Mapping[str, float]
     """RMSE, px, by model, of tie points on ground that was left out."""
     dem: DemCheck | None
-    """What the tie points say of the DEM."""
+    """The errors of the DEM that the tie points indicate."""
     misfits: tuple[Misfit, ...]
     """How the images fit the reference and the control points."""
     hold_out: HoldOutCheck | None
-    """How far tie points on ground that was left out lie off with the RPCs as they came and as corrected."""
+    """Residuals of tie points on ground that was left out, with the original and the corrected RPCs."""
     warnings: tuple[str, ...]
-    """What speaks against the DEM (`dem.faults`) and against control points."""
+    """Errors of the DEM (`dem.faults`) and of control points."""
 
 
 UNGRADED: Final = StackQuality("good", (), 0.0)
-"""Of an image, before its pairs are asked."""
+"""Quality of an image before it is graded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedImage:
-    """Where the adjustment says that an image lies."""
+    """The position of an image by the adjustment."""
 
     name: str
     path: str
@@ -170,18 +170,18 @@ class PlacedImage:
     pairs: int
     """Number of its pairs in use."""
     misfit_sigmas: float
-    """Root mean square, over its pairs, of by how many sigmas each disagrees with all others."""
+    """Root mean square of the offsets of its pairs from the adjustment, in their sigmas."""
     group: int
-    """Number of the group of images that pairs connect; those of another have another datum."""
+    """Number of the group of images that pairs connect; each group has a datum of its own."""
     given: StackInput
-    """As the user named it."""
+    """As the user gave it."""
     pixel_size_m: tuple[float, float] | None
     """Size of its pixels along an axis, in its middle; null without a CRS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackImage(PlacedImage):
-    """An image, and where the adjustment says that it lies."""
+    """An image, with its position and its correction by the adjustment."""
 
     correction: Correction
     registered: Path
@@ -191,11 +191,11 @@ class StackImage(PlacedImage):
     frame_px: float = 1.0
     """Side of its pixels, px of the frame."""
     quality: StackQuality = UNGRADED
-    """How far its place can be relied on."""
+    """How far its position can be relied on."""
 
     @property
     def refused(self) -> bool:
-        """Whether its pairs do not tell its place, so that it has no corrected raster."""
+        """Whether its pairs do not determine its position, so that it has no corrected raster."""
         return self.quality.grade == "refused"
 
     @property
@@ -211,7 +211,7 @@ class Stack:
     images: tuple[StackImage, ...]
     pairs: tuple[StackPair, ...]
     shared: float
-    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it; of
+    """Standard deviation of the error that all points of a pair share, relative to that by its own blocks; of
     images with RPCs in px."""
     datum: str
     """Name of the image that stays, or `mean`."""
@@ -223,12 +223,12 @@ class Stack:
     reference: str
     """Name of the image whose grid is the frame."""
     chosen: Chosen
-    """How the pairs were chosen: all that are worth it, those of a list, or so many at most."""
+    """How the pairs were chosen: all that are useful, those of a list, or a limited number of them."""
     closure: Closure
     control: tuple[ControlPoint, ...] = ()
     """Control points that are the datum."""
     added: tuple[tuple[str, ...], ...] = ()
-    """Names of the images that were added to the finished stack, together and one after another."""
+    """Names of the images that were added to the finished stack, by run."""
     requirements: tuple[RequirementResult, ...] = ()
     block: BlockNumbers | None = None
     """Of images with RPCs."""
@@ -240,12 +240,12 @@ class Stack:
 
     @property
     def quality(self) -> StackQuality:
-        """How far the places of all images can be relied on."""
+        """How far the positions of all images can be relied on."""
         return StackQuality.of_all({image.name: image.quality for image in self.images})
 
     @property
     def written(self) -> Stack:
-        """The stack of the images that get a corrected raster: without those that were refused."""
+        """The stack with only the images that get a corrected raster: those that were not refused."""
         return replace(self, images=tuple(image for image in self.images if not image.refused))
 
     def moved(self, folder: Path) -> Stack:
@@ -266,9 +266,9 @@ class ImageEntry(PlacedImage):
     model: Mapping[str, object]
     """The correction, as `model` in report.json."""
     registered: str | None
-    """File name of the corrected raster; null of an image that was refused."""
+    """File name of the corrected raster; null for an image that was refused."""
     quality: StackQuality
-    """How far its place can be relied on."""
+    """How far its position can be relied on."""
     rpc: RpcFiles | None = None
     """Of an image with RPCs; else null."""
 
@@ -283,7 +283,7 @@ class StackRequirement:
 
     @staticmethod
     def of(result: RequirementResult) -> StackRequirement:
-        """Return it as it is told."""
+        """Return the entry of an evaluated requirement."""
         return StackRequirement(result.requirement.text, result.met, result.text)
 
 
@@ -295,23 +295,23 @@ class StackNumbers:
     datum: str
     """Name of the image that stays, or `mean`."""
     model: str
-    """The model that was asked for."""
+    """The model that was requested."""
     quality: StackQuality
-    """How far the places of all images can be relied on."""
+    """How far the positions of all images can be relied on."""
     shared: float
-    """Standard deviation of the error that all points of a pair share, in what its own blocks tell of it; of
+    """Standard deviation of the error that all points of a pair share, relative to that by its own blocks; of
     images with RPCs in px."""
     reference: str
     """Name of the image whose grid is the frame."""
     chosen: Chosen
-    """How the pairs were chosen: all that are worth it, those of a list, or so many at most."""
+    """How the pairs were chosen: all that are useful, those of a list, or a limited number of them."""
     images: tuple[ImageEntry, ...]
     pairs: tuple[StackPair, ...]
     closure: Closure
     control: tuple[ControlPoint, ...]
     """Control points that are the datum."""
     added: tuple[tuple[str, ...], ...]
-    """Names of the images that were added to the finished stack, together and one after another."""
+    """Names of the images that were added to the finished stack, by run."""
     requirements: tuple[StackRequirement, ...]
     passed: bool | None
     """Whether all requirements are met; null without requirements."""
@@ -323,7 +323,7 @@ class StackNumbers:
     outputs: tuple[str, ...] = ()
     """Names of the files that belong to the result, which a later run may replace."""
     versions: Mapping[str, str] = field(default_factory=versions)
-    """Of this program and of what it stands on."""
+    """Of this program and its libraries."""
 
 
 def stack_of(
@@ -336,7 +336,7 @@ def stack_of(
     unreadable: Mapping[str, str],
     chosen: Chosen = "auto",
 ) -> Stack:
-    """Return what the adjustment says of each pair and each image."""
+    """Return the results of an adjustment for each pair and each image."""
     fits = iter(adjustment.edges)
     pairs = []
     for edge, pair in measured:
@@ -354,41 +354,41 @@ def stack_of(
             )
         pairs.append(pair)
     used = [pair for pair in pairs if pair.status == "used"]
-    rasters = raster_paths(frame, folder, settings)
+    names, rasters = [*frame.names, "control points"], raster_paths(frame, folder, settings)
     images = tuple(_image(frame, number, adjustment, each, used) for number, each in enumerate(rasters))
     return Stack(
         images=images,
         pairs=tuple(pairs),
         shared=adjustment.shared,
-        datum=_datum(frame, adjustment),
+        datum="mean" if adjustment.datum is None else names[adjustment.datum],
         out_dir=folder,
         warnings=tuple(warnings),
         adjustment=adjustment,
         unreadable=unreadable,
-        reference=frame.names[frame.reference],
+        reference=names[frame.reference],
         chosen=chosen,
         closure=closure_of(pairs),
     )
 
 
 def compared(pair: StackPair, used: bool, offset_px: tuple[float, float], warnings: list[str]) -> StackPair:
-    """Return a pair that lies so far off the adjustment, px of the frame; one left out adds a warning."""
+    """Return a pair with its offset from the adjustment, px of the frame; one left out adds a warning."""
     share = read_report(pair.folder).get("coverage", {}).get("empty_share")
-    share = None if share is None else float(share)
+    pair = replace(pair, offset_px=offset_px, empty_share=None if share is None else float(share))
     if used:
-        return replace(pair, status="used", reason=None, offset_px=offset_px, empty_share=share)
+        return replace(pair, status="used", reason=None)
     reason = f"its points lie {np.hypot(*offset_px):.2f} px off what the other pairs tell"
     warnings.append(f"{pair.reference} – {pair.target}: left out: {reason}")
-    return replace(pair, status="left out", reason=reason, offset_px=offset_px, empty_share=share)
+    return replace(pair, status="left out", reason=reason)
 
 
 def graded(found: Stack) -> Stack:
     """Grade the images of a stack by their pairs."""
-    firsts = {image.group: image.name for image in reversed(found.images)}
     groups = {image.name: image.group for image in found.images}
     anchors = set[str]()
     if found.datum in groups:
-        anchors = set((firsts | {groups[found.datum]: found.datum}).values())
+        datums = {image.group: image.name for image in reversed(found.images)}
+        anchors = set((datums | {groups[found.datum]: found.datum}).values())
     sigma_px = {image.name: float(np.hypot(*image.sigma_px)) / 2**0.5 for image in found.images}
     unit_px = {image.name: image.frame_px for image in found.images}
     heights_px: dict[str, float] = {}
@@ -405,22 +405,17 @@ def graded(found: Stack) -> Stack:
     return replace(found, images=images)
 
 
-def _datum(frame: StackFrame, adjustment: Adjustment) -> str:
-    if adjustment.datum is None:
-        return "mean"
-    return frame.names[adjustment.datum] if adjustment.datum < len(frame.names) else "control points"
-
-
 def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[RequirementResult, ...]:
     """Evaluate requirements on the worst image, all cycles (closure) or all pairs in use (points).
 
-    Lengths in metres take the pixels of the frame.
+    Lengths in metres are computed with the largest pixel of all images.
     """
     sizes_m = [
-        max(np.divide(image.sigma_m, image.sigma_px))
+        float(np.divide(image.sigma_m, image.sigma_px).max())
         for image in found.images
         if image.sigma_m and min(image.sigma_px) > 0
     ]
+    px_m = max(sizes_m, default=None)
     used = [pair.points for pair in found.pairs if pair.status == "used"]
     values: dict[str, float | str | None] = {
         "quality": found.quality.grade,
@@ -429,7 +424,6 @@ def judge(found: Stack, requirements: Sequence[Requirement]) -> tuple[Requiremen
         "displacement": max(float(np.hypot(*image.shift_px)) for image in found.images),
         "closure": found.closure.after_px,
     }
-    px_m = float(max(sizes_m)) if sizes_m else None
     results = []
     for each in requirements:
         value = values[each.statistic]
@@ -454,12 +448,8 @@ def _image(
         else _correction(at_px, observed_px, adjustment.basis)
     )
     frame_px, group = float(abs(np.linalg.det(scale)).mean() ** -0.5), int(adjustment.group[number])
-    return StackImage(
-        **placed_values(frame, number, observed_px - at_px, covariance, used, group),
-        correction=correction,
-        registered=registered,
-        frame_px=frame_px,
-    )
+    placed = placed_values(frame, number, observed_px - at_px, covariance, used, group)
+    return StackImage(**placed, correction=correction, registered=registered, frame_px=frame_px)
 
 
 def placed_values(
@@ -472,8 +462,8 @@ def placed_values(
 ) -> dict[str, Any]:
     """Return the fields of `PlacedImage` by their names.
 
-    Over the image, the (n, 2) displacements `moved_px` and their (n, 2, 2) `covariance`, px² of the image,
-    are averaged; `used` are all pairs in use.
+    The (n, 2) displacements `moved_px` and their (n, 2, 2) `covariance`, px² of the image, are averaged over
+    the image; `used` are all pairs in use.
     """
     info, name = frame.infos[number], frame.names[number]
     sigma_px = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).clip(0.0))
@@ -494,10 +484,10 @@ def placed_values(
 
 
 def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correction:
-    """Return the model in px of the file that maps places of a lattice as the adjustment does."""
+    """Return the correction in px of the file, fitted to (n, 2) positions `at_px` and their `observed_px`."""
     if not isinstance(basis, PolynomialBasis):
         low, high = at_px.min(axis=0), at_px.max(axis=0)
-        spacing = float((high - low).min()) / (2 * SPLINE_CELLS)  # finer: it lies elsewhere than the ground
+        spacing = float((high - low).min()) / (2 * SPLINE_CELLS)  # finer, as the two grids do not coincide
         across, down = np.ceil((high - low) / spacing - 1e-9).astype(int).tolist()
         grid = SplineGrid(float_pair(low), spacing, (across, down))
         fitted = least_squares(grid.design(at_px).toarray(), observed_px - at_px)
@@ -524,13 +514,7 @@ def write_numbers(found: Stack, settings: Settings, page: str, folder: Path) -> 
     (folder / TABLE).write_text(_table(found), encoding="utf-8", newline="")
     (folder / PAGE).write_text(page, encoding="utf-8", newline="")
     written = (*sorted(file.name for file in folder.iterdir() if file.is_file()), NUMBERS)
-    content = asdict(_numbers(found, settings, written))
-    text = json.dumps(content, indent=1, default=Path.as_posix) + "\n"
-    (folder / NUMBERS).write_text(text, encoding="utf-8", newline="")
-
-
-def _numbers(found: Stack, settings: Settings, outputs: tuple[str, ...]) -> StackNumbers:
-    return filled(
+    numbers = filled(
         StackNumbers,
         found,
         schema_version=SCHEMA_VERSION,
@@ -538,8 +522,10 @@ def _numbers(found: Stack, settings: Settings, outputs: tuple[str, ...]) -> Stac
         images=tuple(map(_entry, found.images)),
         pairs=tuple(replace(pair, folder=pair.folder.relative_to(found.out_dir)) for pair in found.pairs),
         requirements=tuple(map(StackRequirement.of, found.requirements)),
-        outputs=outputs,
+        outputs=written,
     )
+    text = json.dumps(asdict(numbers), indent=1, default=Path.as_posix) + "\n"
+    (folder / NUMBERS).write_text(text, encoding="utf-8", newline="")
 
 
 def _entry(image: StackImage) -> ImageEntry:
@@ -564,20 +550,20 @@ def _table(found: Stack) -> str:
 
 
 STAC_VERSION: Final = "1.0.0"
-"""Of the STAC specification."""
+"""Version of the STAC specification."""
 PROJECTION: Final = "https://stac-extensions.github.io/projection/v1.2.0/schema.json"
-"""Extension that tells CRS, shape and geotransform; this version has `proj:epsg` and `proj:code`."""
+"""Extension with CRS, shape and geotransform; this version has `proj:epsg` and `proj:code`."""
 COLLECTION: Final = "collection.json"
 """File name of the collection."""
 ITEM: Final = "item_{}.json"
 """File name of an item."""
 STAC_ASSET: Final = "data"
-"""The asset of an item where no item has several."""
+"""Name of the asset where no item has several."""
 MEDIA_TYPES: Final = {
     "COG": "image/tiff; application=geotiff; profile=cloud-optimized",
     "JP2OPENJPEG": "image/jp2",
 }
-"""Media type of the rasters by format; others are given as GeoTIFF, VRTs by none: odc-stac knows no such."""
+"""Media types by format; others have that of GeoTIFF, and VRTs none, as odc-stac knows none for them."""
 
 
 def catalogue(found: Stack, driver: str) -> dict[str, str]:
@@ -592,26 +578,23 @@ def catalogue(found: Stack, driver: str) -> dict[str, str]:
         return {}
     times: dict[str, dict[str, StackImage]] = {}
     for image in placed:
-        bands = times.setdefault(image.given.path if image.date is None else _time(image.date), {})
+        bands = times.setdefault(image.given.path if image.date is None else _rfc3339(image.date), {})
         band = image.given.shown_band or DATE.sub("", image.name).strip("_-. ") or STAC_ASSET
         bands[image.name if band in bands else band] = image
     if all(len(bands) == 1 for bands in times.values()):
         times = {time: {STAC_ASSET: image} for time, bands in times.items() for image in bands.values()}
-    items = [
-        stac_item(
-            (first := next(iter(bands.values()))).name,
-            first.date,
-            {band: _registered_asset(image, grids[image.name], driver) for band, image in bands.items()},
-        )
-        for bands in times.values()
-    ]
+    items = []
+    for bands in times.values():
+        first = next(iter(bands.values()))
+        assets = {band: _registered_asset(image, grids[image.name], driver) for band, image in bands.items()}
+        items.append(stac_item(first.name, first.date, assets))
     return stac_texts(items, "stack", "Images of one ground, adjusted together and resampled onto one grid")
 
 
 def stac_texts(items: Sequence[Mapping[str, Any]], collection: str, description: str) -> dict[str, str]:
     """Return the texts of a collection and its items by path in its folder."""
     texts = {ITEM.format(item["id"]): item for item in items}
-    texts[COLLECTION] = _whole(items, collection, description)
+    texts[COLLECTION] = _collection(items, collection, description)
     return {name: json.dumps(text, indent=1) + "\n" for name, text in texts.items()}
 
 
@@ -620,21 +603,23 @@ class Asset:
     """A raster of an item of a collection."""
 
     href: str
-    """Where it is, relative to the folder of the item, or a URL."""
+    """Path relative to the folder of the item, or URL."""
     driver: str
     """Name of its format."""
     grid: Grid
     """Of its pixels, in a CRS."""
     properties: Mapping[str, Any] = field(default_factory=dict)
-    """More that is told of it."""
+    """Further properties."""
     outlined: bool = True
-    """Whether its outline counts to that of the item."""
+    """Whether its outline is part of the geometry of the item."""
 
 
 def _registered_asset(image: StackImage, grid: Grid, driver: str) -> Asset:
-    values: dict[str, Any] = {"shift_px": list(image.shift_px), "sigma_px": list(image.sigma_px)}
-    values |= {"quality": image.quality.grade}
-    properties = {f"pcwlad_geo:{name}": value for name, value in values.items()}
+    properties = {
+        "pcwlad_geo:shift_px": list(image.shift_px),
+        "pcwlad_geo:sigma_px": list(image.sigma_px),
+        "pcwlad_geo:quality": image.quality.grade,
+    }
     return Asset(f"./{image.registered.name}", driver, grid, properties)
 
 
@@ -647,14 +632,13 @@ def stac_item(
     properties: Mapping[str, Any] | None = None,
     links: Sequence[Mapping[str, str]] = (),
 ) -> dict[str, Any]:
-    """Return an item of a collection.
+    """Return an item of a collection, with the grid of the first of its assets by name.
 
-    The first of its assets by name tells the grid of the item. There may be further properties, and further
-    links.
+    The `properties` and `links` are added to those of every item.
     """
     first = next(iter(assets.values())).grid
     rings = [_outline(asset.grid) for asset in assets.values() if asset.outlined]
-    outlines = [[ring] for number, ring in enumerate(rings) if ring not in rings[:number]]
+    polygons = [[ring] for number, ring in enumerate(rings) if ring not in rings[:number]]
     link = {"type": "application/json", "href": f"./{COLLECTION}"}
     return {
         "type": "Feature",
@@ -662,12 +646,12 @@ def stac_item(
         "stac_extensions": [PROJECTION],
         "id": name,
         "collection": collection,
-        "geometry": {"type": "MultiPolygon", "coordinates": outlines},
-        "bbox": _box(rings),
+        "geometry": {"type": "MultiPolygon", "coordinates": polygons},
+        "bbox": _bounding_box(rings),
         "properties": {
-            "datetime": "1970-01-01T00:00:00Z" if date is None else _time(date),  # STAC asks for one
+            "datetime": "1970-01-01T00:00:00Z" if date is None else _rfc3339(date),  # STAC asks for one
             **_reference_system(first),
-            **_placed(first),
+            **_shape_and_transform(first),
             "pcwlad_geo:date_known": date is not None,
             **(properties or {}),
         },
@@ -678,7 +662,7 @@ def stac_item(
                 **_media_type(asset.driver.upper()),
                 "roles": ["data"],
                 **({} if asset.grid.crs == first.crs else _reference_system(asset.grid)),
-                **_placed(asset.grid),
+                **_shape_and_transform(asset.grid),
                 **asset.properties,
             }
             for key, asset in assets.items()
@@ -687,8 +671,7 @@ def stac_item(
 
 
 def _media_type(driver: str) -> dict[str, str]:
-    known = {} if driver == "VRT" else {"type": "image/tiff; application=geotiff"}
-    return {"type": MEDIA_TYPES[driver]} if driver in MEDIA_TYPES else known
+    return {} if driver == "VRT" else {"type": MEDIA_TYPES.get(driver, "image/tiff; application=geotiff")}
 
 
 def _reference_system(grid: Grid) -> dict[str, Any]:
@@ -697,12 +680,12 @@ def _reference_system(grid: Grid) -> dict[str, Any]:
     return found if epsg is not None or grid.crs is None else {**found, "proj:wkt2": grid.crs.to_wkt()}
 
 
-def _placed(grid: Grid) -> dict[str, Any]:
+def _shape_and_transform(grid: Grid) -> dict[str, Any]:
     return {"proj:shape": list(grid.shape), "proj:transform": list(grid.transform)[:6]}
 
 
-def _time(date: str) -> str:
-    """Return a date or time as RFC 3339 asks for it."""
+def _rfc3339(date: str) -> str:
+    """Return a date or time in the format of RFC 3339, in UTC unless it has a time zone."""
     if "T" not in date:
         return f"{date[:10]}T00:00:00Z"
     return date if date.endswith("Z") or "+" in date[10:] else f"{date}Z"
@@ -710,18 +693,17 @@ def _time(date: str) -> str:
 
 def _outline(grid: Grid) -> list[list[float]]:
     """Return the closed outline of a grid, longitude and latitude."""
-    outline = grid.to_xy(grid.boundary_px(2))
-    degrees = transform_xy(outline, grid.crs, CRS.from_epsg(4326))
+    degrees = transform_xy(grid.to_xy(grid.boundary_px(2)), grid.crs, CRS.from_epsg(4326))
     ring = [[round(float(x), 7), round(float(y), 7)] for x, y in degrees]
     return [*ring, ring[0]] if ring[0] != ring[-1] else ring
 
 
-def _box(rings: Sequence[Sequence[Sequence[float]]]) -> list[float]:
-    every = np.concatenate([np.asarray(ring) for ring in rings])
+def _bounding_box(rings: Sequence[Sequence[Sequence[float]]]) -> list[float]:
+    every = np.concatenate(rings)
     return [*every.min(axis=0).tolist(), *every.max(axis=0).tolist()]
 
 
-def _whole(items: Sequence[Mapping[str, Any]], collection: str, description: str) -> dict[str, Any]:
+def _collection(items: Sequence[Mapping[str, Any]], collection: str, description: str) -> dict[str, Any]:
     times = sorted(item["properties"]["datetime"] for item in items)
     corners = [[item["bbox"][:2], item["bbox"][2:]] for item in items]
     links: list[dict[str, str]] = [{"rel": "root", "type": "application/json", "href": f"./{COLLECTION}"}]
@@ -735,6 +717,9 @@ def _whole(items: Sequence[Mapping[str, Any]], collection: str, description: str
         "id": collection,
         "description": description,
         "license": "other",
-        "extent": {"spatial": {"bbox": [_box(corners)]}, "temporal": {"interval": [[times[0], times[-1]]]}},
+        "extent": {
+            "spatial": {"bbox": [_bounding_box(corners)]},
+            "temporal": {"interval": [[times[0], times[-1]]]},
+        },
         "links": links,
     }

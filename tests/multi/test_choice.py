@@ -174,7 +174,7 @@ def test_of_right_pairs_hardly_any_is_left_out() -> None:
 def test_further_pairs_go_to_kinds_with_few_pairs() -> None:
     found = [Candidate(pair, 0.1 * number) for number, pair in enumerate([(0, 4), (1, 4), (2, 4), (3, 4)])]
     sigma = np.array([0.0, 0.01, 0.01, 0.01, 0.1])
-    assert asked_by_sigma(found, [(0, 4)], sigma) == [(1, 4), (2, 4)]
+    assert asked_by_sigma(found, [(0, 4)], sigma, ["one"] * 5) == [(1, 4), (2, 4)]
     kinds = ["red", "red", "red", "coarse", "thermal"]
     assert asked_by_sigma(found, [(0, 4)], sigma, kinds) == [(3, 4), (1, 4)]
 
