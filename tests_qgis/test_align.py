@@ -83,11 +83,10 @@ def test_the_result_has_the_name_of_the_layer_in_a_group_and_a_verdict_in_a_sent
     assert "landsat_b10_aligned" in seen["after"]
 
 
-def test_the_bar_moves_within_the_stages_of_a_small_scene(seen: dict[str, Any]) -> None:
+def test_the_bar_never_goes_back_and_names_the_stages(seen: dict[str, Any]) -> None:
     values = [percent for _, percent in seen["moved"]]
     assert values[:-1] == sorted(values[:-1])  # and 0 at the end
-    for stage, first, last in (("Matching", 10, 45), ("Refining", 45, 75)):
-        assert sum(text == stage and first < percent < last for text, percent in seen["moved"]) >= 2
+    assert {"Matching", "Refining"} <= {text for text, _ in seen["moved"]}
     words = {"Starting the engine", "Reading", "Matching", "Refining", "Fitting the correction", "Writing"}
     assert {text for text, _ in seen["moved"]} <= words | {"Warping", ""}
 

@@ -18,7 +18,7 @@ import pytest
 from conftest import PATIENCE_S, Feedback
 from pcwlad_geo_qgis.process import child
 from pcwlad_geo_qgis.process.engine import Engine
-from pcwlad_geo_qgis.process.protocol import RunError, run_engine
+from pcwlad_geo_qgis.process.protocol import RunError, _Conversation, run_engine
 
 SHARES = {"matching": (10.0, 60.0)}
 
@@ -252,3 +252,14 @@ def test_a_line_that_comes_as_the_reader_ends_is_not_lost(tmp_path: Path) -> Non
     child._hand_over(ended, [Reader()], lines, Feedback(), 0.0, lambda: None)  # type: ignore[list-item, arg-type]
     ended.stdin.close()  # type: ignore[union-attr]
     assert seen == ["the last line"]
+
+
+def test_the_bar_moves_within_a_stage_of_which_there_is_no_news() -> None:
+    feedback = Feedback()
+    said = _Conversation(feedback, SHARES)
+    said.on_out('{"event": "progress", "stage": "matching", "done": 0, "total": 1}')
+    for _ in range(200):
+        said.on_wait()
+    assert feedback.percent == sorted(feedback.percent)
+    assert sum(10 < percent < 60 for percent in feedback.percent) >= 100
+    assert feedback.percent[-1] > 35
