@@ -258,7 +258,8 @@ def _run_and_write(
     """
     requirements = parse_requirements(job.settings.require, job.command)
     with warnings.catch_warnings(), trusting(job.settings.trust):
-        # The filters belong to the process and rasterio swaps them: set for all threads before they start.
+        # Filters belong to the process, and rasterio swaps them: this one is set before there are threads,
+        # and without the lock of `ignoring`, for which these would wait.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         inside, elsewhere = _check_outputs(job)
         place = job.places["numbers"].parent
@@ -276,7 +277,7 @@ def _run_and_write(
 
             registration = replace(registration, requirements=judge_requirements(registration, requirements))
             with folder.writing():
-                kinds, told = write(registration, staged, job.places, elsewhere, bands, on_event)
+                kinds, messages = write(registration, staged, job.places, elsewhere, bands, on_event)
             check_unchanged(file.identity for file in registration.inputs)
             for kind in kinds:
                 if kind in elsewhere:
@@ -288,8 +289,8 @@ def _run_and_write(
         for band, path in bands.items()
         if "raster" in kinds
     }
-    told = registration.warnings + told
-    return _accepted(replace(registration, warnings=told, outputs=outputs), job.places)
+    messages = registration.warnings + messages
+    return _accepted(replace(registration, warnings=messages, outputs=outputs), job.places)
 
 
 def _check_outputs(job: _Job) -> tuple[dict[str, Path], dict[str, Path]]:

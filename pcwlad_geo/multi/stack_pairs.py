@@ -704,6 +704,7 @@ def asked_by_sigma(
     """
     limit = UNCERTAIN_SIGMA * float(np.median(sigma[sigma > 0])) if (sigma > 0).any() else np.inf
     taken = dict.fromkeys(chosen)
+    count = len(taken)
     for image in np.flatnonzero(sigma > limit).tolist():
         for _ in range(2):
             with_kind = Counter(kinds[sum(pair) - image] for pair in taken if image in pair)
@@ -714,7 +715,7 @@ def asked_by_sigma(
             ]
             if free:
                 taken[min(free, key=lambda pair: with_kind[kinds[sum(pair) - image]])] = None
-    return [pair for pair in taken if pair not in chosen]
+    return list(taken)[count:]
 
 
 def listed_pairs(table: PathLike, frame: StackFrame, inputs: Sequence[StackInput]) -> list[tuple[int, int]]:

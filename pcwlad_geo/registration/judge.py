@@ -13,6 +13,7 @@ from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.matching.epipolar import CHANCE_FACTOR
 from pcwlad_geo.matching.shift_search import evidence_against_chance
 from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.raster.source import BLOCK_PX
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -40,8 +41,6 @@ MIN_SIGNIFICANCE: Final = 6.0
 """Least significance of an accepted pair: -log10 of the probability of such agreement by chance."""
 MIN_OWN_SIGNIFICANCE: Final = 2.0
 """Least significance of the points themselves from which the evidence of a search is added to it."""
-BLOCK_PX: Final = 8
-"""Side of the blocks of JPEG compression, whose grid two images of different ground may share."""
 BLOCKS_APART_SHARE: Final = 0.5
 """Share of the matches that contradict the common displacement which do so by whole blocks, from which it is
 one of many that put the grids on each other: 0.96 of two parts of a photograph of a blackboard, with 8 of 9
