@@ -46,8 +46,8 @@ BLOCKS_APART_SHARE: Final = 0.5
 one of many that put the grids on each other: 0.96 of two parts of a photograph of a blackboard, with 8 of 9
 places that agree. Right pairs of JPEGs reach 0.8 too; their places are more."""
 BY_BLOCKS: Final = (
-    f"the candidates agree but for multiples of {BLOCK_PX} px, as both images show the grid of blocks that "
-    "JPEG compression leaves: use images without this compression, or mask what shows nothing else"
+    f"the candidates agree only up to multiples of {BLOCK_PX} px: both images show the grid of blocks that "
+    "JPEG compression leaves, and little else; use images without it, or mask what shows nothing else"
 )
 """Why such a pair is refused."""
 AGREEING_SHARE: Final = 0.75
