@@ -43,7 +43,7 @@ from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from benchmarks.timing import cheapest
 from benchmarks.unrelated import PAIRINGS, REPOSITORY, Part, unrelated_parts
 from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.matching.pose import search_pose
+from pcwlad_geo.matching.pose import PoseSearch
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.registration.run import run
@@ -659,6 +659,13 @@ def _unrelated_job(data: Path, number: int, folder: Path) -> tuple[str, str, Job
 # --- time
 
 
+def _searched(*images: Array) -> None:
+    """Search as a job does that finds no start: by the structure, and by the grey values too."""
+    search = PoseSearch(*images)
+    if not getattr(search.by_structure(), "accepted", False):
+        search.by_grey_values()
+
+
 def _time(data: Path, scratch: Path, _runner: Runner, _share: float) -> Iterator[Table]:
     """Yield the CPU time of the search alone, and of a match that needs none, left to find out and told."""
     cv2.setNumThreads(1)
@@ -668,8 +675,8 @@ def _time(data: Path, scratch: Path, _runner: Runner, _share: float) -> Iterator
     everywhere = np.ones(target.shape, bool)
     turned, seen = warp_image(target, everywhere, Warp(30.0, 1.0, 0.0, (0.0, 0.0)))
     searches = [
-        partial(search_pose, reference.astype(float), turned, everywhere, seen),
-        partial(search_pose, reference.astype(float), near.astype(float), everywhere, everywhere),
+        partial(_searched, reference.astype(float), turned, everywhere, seen),
+        partial(_searched, reference.astype(float), near.astype(float), everywhere, everywhere),
     ]
     related, unrelated = cheapest(searches, 2)
     placed = [

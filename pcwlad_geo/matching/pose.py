@@ -5,7 +5,8 @@ resolution serve all rotations. With harmonics of the orientation the cyclic shi
 The search knows similarities. From the best of them patches, each looked for within a wide reach, vote for an
 affine transformation: a patch is hardly changed by what moves the border of the whole image by many pixels.
 Where none stands out, images stretched in several directions are searched for, and affine poses ascend from
-those, by the gradient, to where most of the whole image correlates.
+those, by the gradient, to where most of the whole image correlates. Where the matching from the pose that was
+found fails, or none was, the grey values tell more: what has one tone in one image has one in the other.
 """
 
 from __future__ import annotations
@@ -147,6 +148,38 @@ CONFIRMING_RATIO: Final = 1.25
 best ascended poses of 30 unrelated pairs it is 1.63 at most."""
 EVIDENCE_PER_CONFIRMING_RATIO: Final = 4.0
 """Evidence for a pose whose ratio is 1 above that."""
+GREY_SIDES_PX: Final = (96, 192)
+"""Longer sides of the reference where grey values are compared: of many poses, and of the best of them."""
+GREY_REACH: Final = 0.125
+"""Sigma of the Gaussian whose mean is taken from grey values, as a share of that side: what is wider is
+light, haze or a slope, which any two images may share."""
+GREY_BLUR_PX: Final = 0.7
+"""Sigma of the Gaussian that smooths them."""
+GREY_TONES: Final = 4096
+"""Number of equal steps in which they are ranked."""
+GREY_DEVIATIONS: Final = 4.0
+"""Distance from 0, in standard deviations, beyond which they have the same rank."""
+GREY_TRIALS: Final = 150
+"""Number of the best poses of the coarse search whose grey values are compared."""
+GREY_DISTINCT: Final = 6
+"""Number of the best distinct ones of these that climb."""
+MIN_GREY_RATIO: Final = 1.12
+"""Ratio of the best of them to the second from which they climb: of unrelated pairs one in three has it."""
+JOINT_RATIO: Final = 1.05
+"""Ratio of the best of those that climbed to the second from which it speaks for a pose."""
+EVIDENCE_PER_JOINT_RATIO: Final = 2.2
+"""Evidence for a pose whose ratio is 1 above that; of 53 unrelated pairs five have 1.5, and the most 1.84."""
+EVIDENCE_PER_GREY_RATIO: Final = 3.0
+"""Evidence, beside that of its structure, for a pose whose dependence is twice that of any other of the
+coarse search; of 53 unrelated pairs two have 1.4 times, and the most 1.52."""
+MAX_GREY_EVIDENCE: Final = 6.0
+"""Largest evidence of structure and grey values together."""
+GREY_STEPS_PX: Final = ((1.0, 0.4), (1.5, 0.75, 0.4))
+"""Steps of the climb, by how far they move the border: px of the first and of the second of the two sides."""
+GREY_ROUNDS: Final = 6
+"""Largest number of times that all parameters are tried with a step."""
+GREY_ERROR_PX: Final = 1.0
+"""Typical error of a pose after the climb, px of images of 256 px; 0.9 at the median of near infrared."""
 SAMPLED_STARTS: Final = 3
 """Number of the best ascended poses from which a sample of the patches votes until no more of it agree."""
 MIN_SAMPLED: Final = 7
@@ -434,16 +467,8 @@ def _stride(ratio: float) -> int:
     return 2 if ratio <= SMALL_RATIO else 1
 
 
-def search_pose(
-    reference: NDArray[np.floating[Any]],
-    target: NDArray[np.floating[Any]],
-    reference_valid: Bool,
-    target_valid: Bool,
-    *,
-    scales: tuple[float, float] = SCALES,
-    stretched: bool = True,
-) -> PoseProposal | None:
-    """Find the similarity, or the affine transformation, between two images whose structure agrees best.
+class PoseSearch:
+    """A search for the similarity, or the affine transformation, between two images.
 
     Parameters
     ----------
@@ -456,38 +481,122 @@ def search_pose(
     stretched : bool
         Whether the search goes on where no similarity is found: from others, and with a stretched reference.
 
-    Returns
-    -------
-    PoseProposal or None
-        The best, accepted or not; None where nothing could be compared.
-
     References
     ----------
     .. [1] Padfield, D. (2012), doi:10.1109/TIP.2011.2181402 (masked normalised cross-correlation).
     """
-    first = _PoseImage(np.asarray(reference, np.float32), reference_valid)
-    second = _PoseImage(np.asarray(target, np.float32), target_valid)
-    scans = _Scan(first, second, from_target=False), _Scan(second, first, from_target=True)
-    coarse = _distinct(itertools.chain(*(scan.everywhere(scales) for scan in scans)), reference.shape)
-    if not coarse:
-        return None
-    patches = _OverlappingPatches(first, second)
-    best_coarse = PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)
-    voted = _affine_by_patches(patches, [best_coarse], scales)
-    if voted is not None:
-        return _confirmed(first, second, voted)
-    similarity = _best_similarity(first, second, coarse)
-    if similarity.accepted or not stretched:
-        return _confirmed(first, second, similarity)
-    starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
-    ascended = _ascended(first, second, starts)
-    voted = _affine_by_patches(patches, ascended[:SAMPLED_STARTS], scales)
-    if voted is not None:
-        return _confirmed(first, second, voted)
-    affine = [each for each in ascended[:1] if _is_within(each.scale, scales)]
-    checked = [_confirmed(first, second, each) for each in (similarity, *affine)]
-    best = max(checked, key=lambda each: each.evidence)
-    return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
+
+    def __init__(
+        self,
+        reference: NDArray[np.floating[Any]],
+        target: NDArray[np.floating[Any]],
+        reference_valid: Bool,
+        target_valid: Bool,
+        *,
+        scales: tuple[float, float] = SCALES,
+        stretched: bool = True,
+    ) -> None:
+        self._reference = _PoseImage(np.asarray(reference, np.float32), reference_valid)
+        self._target = _PoseImage(np.asarray(target, np.float32), target_valid)
+        self._scales, self._stretched = scales, stretched
+        self._found: PoseProposal | None = None
+        self._few: list[tuple[float, Float64]] | None = None
+
+    def by_structure(self) -> PoseProposal | None:
+        """Return the pose in which most structure agrees, accepted or not; None if none can be compared."""
+        if self._few is None:
+            self._found = self._by_structure()
+        return self._found
+
+    def _by_structure(self) -> PoseProposal | None:
+        first, second, scales = self._reference, self._target, self._scales
+        scans = _Scan(first, second, from_target=False), _Scan(second, first, from_target=True)
+        trials = itertools.chain(*(scan.everywhere(scales) for scan in scans))
+        ranked = sorted(trials, key=lambda each: -each.score)
+        self._few = [(trial.score, trial.matrix) for trial in ranked[:GREY_TRIALS]]
+        coarse = _distinct(ranked, first.values.shape)
+        if not coarse:
+            return None
+        patches = _OverlappingPatches(first, second)
+        best_coarse = PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)
+        voted = _affine_by_patches(patches, [best_coarse], scales)
+        if voted is not None:
+            return _confirmed(first, second, voted)
+        similarity = _best_similarity(first, second, coarse)
+        if similarity.accepted or not self._stretched:
+            return _confirmed(first, second, similarity)
+        starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
+        ascended = _ascended(first, second, starts)
+        voted = _affine_by_patches(patches, ascended[:SAMPLED_STARTS], scales)
+        if voted is not None:
+            return _confirmed(first, second, voted)
+        affine = [each for each in ascended[:1] if _is_within(each.scale, scales)]
+        checked = [_confirmed(first, second, each) for each in (similarity, *affine)]
+        best = max(checked, key=lambda each: each.evidence)
+        return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
+
+    def by_grey_values(self) -> PoseProposal | None:
+        """Return the pose that structure and grey values together tell, moved to where both agree the most.
+
+        The two are independent in unrelated images, so that the product of their scores has fewer rivals than
+        either. The poses are those of the coarse search, and the one that `by_structure` finds. None if
+        nothing could be compared, or nothing stands out.
+        """
+        first, second, found = self._reference, self._target, self.by_structure()
+        joint = _JointScore(first, second, 0)
+        scored = [(score * joint.dependence(pose), pose) for score, pose in self._few or ()]
+        start = _square(found.matrix) if found is not None and found.accepted else None
+        if start is not None:
+            scored.append((math.inf, start))  # the first, whatever its score
+        best = _best_distinct(scored, first.values.shape)
+        if len(best) < 2 or (start is None and best[0][0] < MIN_GREY_RATIO * best[1][0]):
+            return None
+        climbed = _best_distinct((joint.climbed(pose) for _, pose in best), first.values.shape)
+        rival = climbed[1][0] if len(climbed) > 1 else climbed[0][0]
+        evidence = max(0.0, EVIDENCE_PER_JOINT_RATIO * (climbed[0][0] / max(rival, 1e-9) - JOINT_RATIO))
+        evidence = min(evidence, MAX_EVIDENCE)
+        if found is not None and start is not None and self._are_one(start, climbed[0][1]):
+            evidence = max(evidence, found.evidence, self._both(found.evidence, joint, climbed[0][1]))
+        if evidence < MIN_EVIDENCE:
+            return None
+        finer = _JointScore(first, second, 1)
+        score, pose = finer.climbed(finer.climbed(climbed[0][1])[1], affine=True)
+        error_px = GREY_ERROR_PX * max(1.0, first.side_px / GREY_SIDES_PX[1])
+        proposal = PoseProposal(pose[:2], score, evidence, spread_px=error_px)
+        return proposal if _is_within(proposal.scale, self._scales) else None
+
+    def _both(self, of_structure: float, joint: _JointScore, pose: Float64) -> float:
+        """Return the evidence of structure and of grey values, which are independent, for a (3, 3) pose."""
+        others = [other for _, other in self._few or () if not self._are_one(pose, other)]
+        rival = max(map(joint.dependence, others), default=math.inf)
+        both = of_structure + EVIDENCE_PER_GREY_RATIO * max(
+            0.0, joint.dependence(pose) / max(rival, 1e-9) - 1
+        )
+        return min(_fisher(both), MAX_GREY_EVIDENCE)
+
+    def _are_one(self, one: Float64, other: Float64) -> bool:
+        """Whether two (3, 3) poses are not distinct."""
+        apart_px = mean_distance_px(one, other, self._reference.values.shape)
+        return apart_px < DISTINCT_DISTANCE * self._reference.side_px
+
+
+def _fisher(both: float) -> float:
+    """Return the evidence of two independent probabilities, whose own evidence adds up to `both`."""
+    return both - math.log10(1 + both * math.log(10))
+
+
+def _square(matrix: Float64) -> Float64:
+    """Return a (2, 3) affine transformation as a (3, 3) matrix."""
+    return _affine(matrix[:, :2], matrix[:, 2])
+
+
+def _best_distinct(
+    scored: Iterable[tuple[float, Float64]], shape: tuple[int, ...]
+) -> list[tuple[float, Float64]]:
+    """Return the best of scores and (3, 3) poses that are distinct, the best first."""
+    ranked = sorted(scored, key=lambda each: -each[0])
+    chosen = _first_distinct((pose for _, pose in ranked), shape, GREY_DISTINCT, DISTINCT_DISTANCE)
+    return [ranked[index] for index in chosen]
 
 
 def _best_similarity(first: _PoseImage, second: _PoseImage, coarse: Sequence[_PoseTrial]) -> PoseProposal:
@@ -772,7 +881,7 @@ def _affine_by_patches(
     """
 
     def sampled(start: PoseProposal) -> tuple[_Votes, Float64, PoseProposal]:
-        pose = _affine(start.matrix[:, :2], start.matrix[:, 2])
+        pose = _square(start.matrix)
         return *_iterated_consensus(patches, *patches.vote(pose, sample=True), sample=True), start
 
     tries = sorted(map(sampled, starts), key=lambda each: -each[0].agreeing)
@@ -879,6 +988,10 @@ class _Ascent:
                 break
         return score, pose
 
+    def score(self, pose: Float64) -> float:
+        """Return the score of a (3, 3) pose, as that of `from_pose`."""
+        return self._score(*self._placed(pose))
+
     def _score(self, placed: Float32, known: Float32) -> float:
         return float(np.vdot(placed, self._planes)) / math.sqrt(max(float(known.sum()), self._least))
 
@@ -914,6 +1027,131 @@ class _Ascent:
             to_image = np.ascontiguousarray((to_map @ pose @ self._to_px)[:2])
             place_layer(packed, to_image, -2 * angle_rad, self._known, known, planes)
         return placed.reshape(-1, *self._shape), known
+
+
+class _GreyValues:
+    """Tells how far the grey values of two images depend on each other where a pose places the target.
+
+    What is bright in one image may be dark or of medium tone in the other. The dependence is the sum of the
+    squared correlations of polynomials of the ranks, of the first and the second order: the mean square
+    contingency, cut off there (Lancaster 1958, doi:10.1214/aoms/1177706532).
+    """
+
+    def __init__(self, reference: _PoseImage, target: _PoseImage, side_px: int) -> None:
+        self._factor = min(1.0, side_px / reference.side_px)
+        values, valid, self._to_small = _shrunk(reference.values, reference.valid, self._factor)
+        self._shape, self._reach_px = valid.shape, GREY_REACH * max(values.shape)
+        self._terms = _terms(_rank_polynomials(values, valid, self._reach_px))
+        self._target, self._levels = target, dict[int, tuple[Float32, Float64]]()
+
+    def dependence(self, pose: Float64) -> float:
+        """Return the root of dependence times overlap in a (3, 3) pose; 0 where that is too small."""
+        planes, to_level = self._level(_scale_of(pose))
+        to_plane = (to_level @ pose @ inverse(self._to_small))[:2]
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        placed = cv2.warpAffine(planes, to_plane, self._shape[::-1], flags=flags)
+        moved = _terms(np.asarray(placed, np.float32))
+        sums = (self._terms.T @ moved).astype(np.float64)
+        count = float(sums[4, 4])
+        if count < MIN_CELLS:
+            return 0.0
+        cross = sums[:2, :2] - np.outer(sums[:2, 4], sums[4, :2]) / count
+        fixed, other = sums[2:4, 4] - sums[:2, 4] ** 2 / count, sums[4, 2:4] - sums[4, :2] ** 2 / count
+        return math.sqrt(count * float((cross**2 / np.maximum(np.outer(fixed, other), 1e-9)).sum()))
+
+    def _level(self, scale: float) -> tuple[Float32, Float64]:
+        """Return polynomials of the target about as coarse as the reference, and the matrix to them."""
+        step = round(4 * math.log2(min(1.0, self._factor / scale)))
+        if step not in self._levels:
+            factor = 2 ** (step / 4)
+            values, valid, to_level = _shrunk(self._target.values, self._target.valid, factor)
+            reach_px = self._reach_px * factor * scale / self._factor
+            self._levels[step] = _rank_polynomials(values, valid, reach_px), to_level
+        return self._levels[step]
+
+
+def _rank_polynomials(values: Float32, valid: Bool, reach_px: float) -> Float32:
+    """Return Legendre polynomials of the ranks of grey values without their local mean.
+
+    They are (rows, cols, 3): of first and second order, and 1 where they are valid.
+    """
+    smooth = np.asarray(cv2.GaussianBlur(values, (0, 0), GREY_BLUR_PX), np.float32)
+    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), reach_px)
+    mean = cv2.GaussianBlur(np.where(valid, smooth, np.float32(0)), (0, 0), reach_px)
+    local = (smooth - mean / np.maximum(weight, np.float32(1e-3)))[valid]
+    planes = np.zeros((*values.shape, 3), np.float32)
+    if len(local):
+        # by a table, in which equal values share a rank: to sort them takes ten times as long
+        reach = GREY_DEVIATIONS * max(float(local.std()), 1e-9)
+        place = ((local / reach + 1) * (GREY_TONES / 2)).clip(0, GREY_TONES - 1).astype(np.intp)
+        counts = np.bincount(place, minlength=GREY_TONES)
+        rank = ((2 * np.cumsum(counts) - counts) / len(local) - 1).astype(np.float32)[place]
+        planes[valid] = np.stack([rank, 1.5 * rank**2 - 0.5, np.ones_like(rank)], axis=-1)
+    return planes
+
+
+def _terms(planes: Float32) -> Float32:
+    """Return (n, 5) values, their squares and 1 of two planes, and 0 where the third is not nearly 1."""
+    flat = planes.reshape(-1, 3)
+    known = (flat[:, 2:] > 0.9).astype(np.float32)
+    values = flat[:, :2] * known
+    return np.concatenate([values, values**2, known], axis=1)
+
+
+class _JointScore:
+    """Scores poses by the structure and by the grey values of two images, and moves them to higher scores."""
+
+    def __init__(self, reference: _PoseImage, target: _PoseImage, stage: int) -> None:
+        side_px = GREY_SIDES_PX[stage]
+        self._structure = _Ascent(reference, target, ASCENT_CELLS[-1])
+        self.dependence = _GreyValues(reference, target, side_px).dependence
+        rows, cols = reference.values.shape
+        self._middle = np.array([cols - 1, rows - 1]) / 2
+        # by which a parameter moves the border, as a share of that distance
+        self._steps = [2 * step / min(side_px, reference.side_px) for step in GREY_STEPS_PX[stage]]
+        self._half = reference.side_px / 2
+
+    def score(self, pose: Float64) -> float:
+        """Return the product of both scores of a (3, 3) pose."""
+        return self.dependence(pose) * max(self._structure.score(pose), 0.0)
+
+    def climbed(self, pose: Float64, *, affine: bool = False) -> tuple[float, Float64]:
+        """Move a (3, 3) pose to the highest score near it by a pattern search; return both.
+
+        The pose is changed by similarities, or by affine transformations (Hooke & Jeeves 1961,
+        doi:10.1145/321062.321069).
+        """
+        best = self.score(pose)
+        for step in self._steps:
+            for _ in range(GREY_ROUNDS):
+                before = best
+                for change in _AFFINE_CHANGES if affine else _SIMILAR_CHANGES:
+                    for by in (step, -step):
+                        moved = pose @ self._about_middle(by * change)
+                        score = self.score(moved)
+                        if score > best:
+                            best, pose = score, moved
+                            break
+                if best == before:
+                    break
+        return best, pose
+
+    def _about_middle(self, change: Float64) -> Float64:
+        """Return the (3, 3) transformation by a (2, 3) change, whose unit is half a side."""
+        linear = np.eye(2) + change[:, :2]
+        return _affine(linear, self._middle - linear @ self._middle + self._half * change[:, 2])
+
+
+_AFFINE_CHANGES: Final = np.eye(6).reshape(6, 2, 3)[[2, 5, 0, 4, 1, 3]]
+"""Changes of (col, row) by (col, row, 1), one parameter each, the shift first."""
+_SIMILAR_CHANGES: Final = np.stack(
+    [
+        *_AFFINE_CHANGES[:2],
+        _AFFINE_CHANGES[2] + _AFFINE_CHANGES[3],
+        _AFFINE_CHANGES[4] - _AFFINE_CHANGES[5],
+    ]
+)
+"""Shift, scale and rotation."""
 
 
 def _packed(image: _PoseImage, side_cells: float, per_cell: Sequence[float]) -> list[tuple[Float32, Float64]]:
@@ -965,13 +1203,13 @@ class _Frame:
         inside = np.s_[FRAME_MARGIN_PX:-FRAME_MARGIN_PX, FRAME_MARGIN_PX:-FRAME_MARGIN_PX]
         ratio = ratio_in_place(self._channels, (channels[inside], usable[inside]))
         both = proposal.evidence + max(0.0, EVIDENCE_PER_CONFIRMING_RATIO * (ratio - CONFIRMING_RATIO))
-        evidence = min(both - math.log10(1 + both * math.log(10)), MAX_EVIDENCE)
+        evidence = min(_fisher(both), MAX_EVIDENCE)
         return replace(proposal, evidence=max(proposal.evidence, evidence))
 
     def _placed(self, matrix: Float64) -> tuple[Float64, tuple[Float32, Float32]]:
         """Return the (3, 3) warp from the frame to the shrunk target, and its channels, with a margin."""
         values, known, to_small = self._target
-        warp = to_small @ _affine(matrix[:, :2], matrix[:, 2]) @ inverse(self._to_frame)
+        warp = to_small @ _square(matrix) @ inverse(self._to_frame)
         return warp, normalised_channels(*_warped_image(values, known, warp, self._shape, FRAME_MARGIN_PX))
 
 

@@ -18,7 +18,7 @@ from pcwlad_geo.correction.models import ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.pose import SCALES, search_pose
+from pcwlad_geo.matching.pose import SCALES, PoseProposal, PoseSearch
 from pcwlad_geo.matching.prepare import (
     Image,
     Noise,
@@ -134,6 +134,8 @@ class StartingAlignment:
     prealignment: Prealignment
     pair: ViewPair
     overviews: Overviews
+    must_stand: bool = False
+    """Whether the match in the pose that its own points tell must be accepted, too, each time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,45 +210,61 @@ def by_search(
     return Prealignment("search", (float(shift[0]), float(shift[1])), radius), found
 
 
-def by_pose_search(
-    pair: ViewPair, overviews: Overviews, search_radius: int | None
-) -> StartingAlignment | None:
-    """Search the pose on the overviews, with `search_radius` as for `by_search`; None if none is accepted."""
-    expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
-    if expected is None or pair.georeferenced:
-        expected, factors = None, [overviews.factor] * 2
-        reference, target = overviews.reference, overviews.target
-    else:  # each at its own resolution: the two may differ much
-        views = pair.reference, pair.target
-        factors = [max(1.0, max(view.grid.shape) / OVERVIEW_SIDE_PX) for view in views]
-        reference, target = (view.reduced(factor) for view, factor in zip(views, factors, strict=True))
-    by_px = (expected or 1.0) * factors[0] / factors[1]
-    found = search_pose(
-        reference.values,
-        target.values,
-        reference.valid,
-        target.valid,
-        scales=(SCALES[0] * by_px, SCALES[1] * by_px),
-        stretched=not pair.georeferenced,  # a geotransform that errs is seldom stretched
-    )
-    if found is None or not found.accepted:
-        return None
-    # from array indices of the overviews to corner-based px of the views
-    to_views = [np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / factor]]) for factor in factors]
-    matrix = to_views[1] @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ inverse(to_views[0])
-    matrix /= matrix[2, 2]
-    if expected is None:
-        coarse_px = overviews.factor * max(1.0, found.scale) * (found.spread_px + POSE_ERROR_PX)
-    else:  # of the coarser of the two
-        scale = math.sqrt(abs(float(np.linalg.det(matrix[:2, :2]))))
-        px = factors[0] * min(1.0, scale), factors[1] * min(1.0, 1 / scale)
-        coarse_px = px[0] * found.spread_px + max(px) * POSE_ERROR_PX
-    radius = search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(coarse_px)
-    try:
-        start = posed_start(pair, matrix, radius, found.evidence)
-        return replace(start, prealignment=replace(start.prealignment, expected_scale=expected))
-    except InputError:  # too little in common to be matched
-        return None
+class PoseStarts:
+    """Starts from poses, which are searched on the overviews when they are asked for.
+
+    The `search_radius` is that of the coarse match afterwards; None: by the precision of the pose.
+    """
+
+    def __init__(self, pair: ViewPair, overviews: Overviews, search_radius: int | None) -> None:
+        self._pair, self._overviews, self._search_radius = pair, overviews, search_radius
+        self._expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
+        if self._expected is None or pair.georeferenced:
+            self._expected, self._factors = None, [overviews.factor] * 2
+            reference, target = overviews.reference, overviews.target
+        else:  # each at its own resolution: the two may differ much
+            views = pair.reference, pair.target
+            self._factors = [max(1.0, max(view.grid.shape) / OVERVIEW_SIDE_PX) for view in views]
+            reference, target = (view.reduced(by) for view, by in zip(views, self._factors, strict=True))
+        by_px = (self._expected or 1.0) * self._factors[0] / self._factors[1]
+        self._search = PoseSearch(
+            reference.values,
+            target.values,
+            reference.valid,
+            target.valid,
+            scales=(SCALES[0] * by_px, SCALES[1] * by_px),
+            stretched=not pair.georeferenced,  # a geotransform that errs is seldom stretched
+        )
+
+    def by_structure(self) -> StartingAlignment | None:
+        """Return the start in which the structure agrees best; None if none is accepted."""
+        return self._start(self._search.by_structure())
+
+    def by_grey_values(self) -> StartingAlignment | None:
+        """Return that in which structure and grey values together agree best; None if none is accepted."""
+        start = self._start(self._search.by_grey_values())
+        return start and replace(start, must_stand=True)
+
+    def _start(self, found: PoseProposal | None) -> StartingAlignment | None:
+        if found is None or not found.accepted:
+            return None
+        pair, factors = self._pair, self._factors
+        # from array indices of the overviews to corner-based px of the views
+        to_views = [np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / factor]]) for factor in factors]
+        matrix = to_views[1] @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ inverse(to_views[0])
+        matrix /= matrix[2, 2]
+        if self._expected is None:
+            coarse_px = factors[0] * max(1.0, found.scale) * (found.spread_px + POSE_ERROR_PX)
+        else:  # of the coarser of the two
+            scale = math.sqrt(abs(float(np.linalg.det(matrix[:2, :2]))))
+            px = factors[0] * min(1.0, scale), factors[1] * min(1.0, 1 / scale)
+            coarse_px = px[0] * found.spread_px + max(px) * POSE_ERROR_PX
+        radius = self._search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(coarse_px)
+        try:
+            start = posed_start(pair, matrix, radius, found.evidence)
+            return replace(start, prealignment=replace(start.prealignment, expected_scale=self._expected))
+        except InputError:  # too little in common to be matched
+            return None
 
 
 def posed_start(

@@ -78,10 +78,10 @@ from pcwlad_geo.registration.judge import (
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
 from pcwlad_geo.registration.prealign import (
     Overviews,
+    PoseStarts,
     Prealignment,
     StartingAlignment,
     by_georeferencing,
-    by_pose_search,
     by_search,
     can_be_posed,
     direct_start,
@@ -655,12 +655,17 @@ def _starts(
         found, _ = by_search(pair, overviews, radius)
         log.on_event(Progress("prealignment", 1, 1))
     yield None if found is None else StartingAlignment(found, pair, overviews)
-    if can_be_posed(pair):
+    posed = PoseStarts(pair, overviews, radius) if can_be_posed(pair) else None
+    if posed is not None:
         with log.stage("prealignment"):
-            posed = by_pose_search(pair, overviews, radius)
-        yield posed
+            start = posed.by_structure()
+        yield start
     if search_first:
         yield direct
+    if posed is not None:
+        with log.stage("prealignment"):
+            start = posed.by_grey_values()
+        yield start
 
 
 def _match_again_in_pose(
@@ -670,8 +675,10 @@ def _match_again_in_pose(
 
     The first pose is only as good as the search: in it the windows are turned and scaled by some percent, and
     it knows no perspective. A pose of doubtful evidence has to pass twice: all correct ones of the
-    pose set do; a false one, of a wall and a path in an image beside its mirror image, passed only once.
+    pose set do; a false one, of a wall and a path in an image beside its mirror image, passed only once. One
+    that `must_stand` has to pass each time.
     """
+    must_stand = start.must_stand
     for number in range(3):
         points = matched.matches[matched.kept]
         pair, rows_cols = start.pair, start.pair.reference.grid.shape
@@ -686,7 +693,7 @@ def _match_again_in_pose(
             break
         if not found.verdict.accepted:
             doubtful = number == 0 and is_doubtful(matched.prealignment.net_evidence)
-            return (found, again) if doubtful else (matched, start)
+            return (found, again) if doubtful or must_stand else (matched, start)
         matched, start = found, again
         if not matrix[2, :2].any() and mean_distance_px(matrix, as_it_is, rows_cols) < STILL_PX:
             break

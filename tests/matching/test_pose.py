@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching import pose
-from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, search_pose
+from pcwlad_geo.matching.pose import PoseProposal, PoseSearch, mean_distance_px
 from tests.matching.test_global_search import cover, modality
 
 SIDE_PX = 300
@@ -41,9 +42,8 @@ def gentle(image: np.ndarray, scale: float) -> np.ndarray:
 
 
 def search(target: np.ndarray, **options: Any) -> PoseProposal | None:
-    return search_pose(
-        REFERENCE, target, np.ones(REFERENCE.shape, bool), np.ones(target.shape, bool), **options
-    )
+    valid = np.ones(REFERENCE.shape, bool), np.ones(target.shape, bool)
+    return PoseSearch(REFERENCE, target, *valid, **options).by_structure()
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_invalid_pixels_do_not_count() -> None:
     valid = np.ones(target.shape, bool)
     valid[:90] = False
     spoiled = np.where(valid, target, 1000.0 * (np.indices(target.shape).sum(axis=0) % 7 == 0))
-    found = search_pose(REFERENCE, spoiled, np.ones(REFERENCE.shape, bool), valid)
+    found = PoseSearch(REFERENCE, spoiled, np.ones(REFERENCE.shape, bool), valid).by_structure()
     assert found is not None
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
 
@@ -128,13 +128,97 @@ def test_a_pose_that_others_outscore_is_found_by_its_patches(monkeypatch: pytest
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
 
 
+def tones(seed: int) -> np.ndarray:
+    """Return fields of twelve tones, each a Voronoi cell, with a texture of their own."""
+    rng = np.random.default_rng(seed)
+    row, col = np.mgrid[0:SIDE_PX, 0:SIDE_PX]
+    middles = rng.uniform(0, SIDE_PX, (60, 2))
+    nearest = np.argmin([(row - r) ** 2 + (col - c) ** 2 for r, c in middles], axis=0)
+    return rng.integers(0, 12, len(middles))[nearest].astype(float)
+
+
+def pose_images(reference: np.ndarray, target: np.ndarray) -> tuple[pose._PoseImage, pose._PoseImage]:
+    first, second = (
+        pose._PoseImage(np.asarray(each, np.float32), np.ones(each.shape, bool))
+        for each in (reference, target)
+    )
+    return first, second
+
+
+def test_the_dependence_is_that_of_the_plain_equations() -> None:
+    """Correlations of Legendre polynomials of ranks, one pair of them after the other."""
+    rng = np.random.default_rng(4)
+    reference, valid = rng.normal(size=(40, 50)).astype(np.float32), rng.random((40, 50)) > 0.1
+    target = (reference**2 + rng.normal(size=(40, 50))).astype(np.float32)
+    first, second = pose._PoseImage(reference, valid), pose._PoseImage(target, np.ones((40, 50), bool))
+    found = pose._GreyValues(first, second, 96).dependence(np.eye(3))
+
+    def ranks(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
+        smooth = cv2.GaussianBlur(np.where(usable, values, 0), (0, 0), pose.GREY_BLUR_PX)
+        weight = cv2.GaussianBlur(usable.astype(np.float32), (0, 0), 50 * pose.GREY_REACH)
+        mean = cv2.GaussianBlur(np.where(usable, smooth, 0), (0, 0), 50 * pose.GREY_REACH)
+        local = (smooth - mean / weight)[usable]
+        result = np.zeros(values.shape)
+        result[usable] = [(local < each).mean() + (local == each).mean() / 2 for each in local]
+        return 2 * result[valid] - 1
+
+    x, y = ranks(reference, valid), ranks(target, np.ones((40, 50), bool))
+    polynomials = [(x, 1.5 * x**2 - 0.5), (y, 1.5 * y**2 - 0.5)]
+    total = sum(np.corrcoef(one, other)[0, 1] ** 2 for one in polynomials[0] for other in polynomials[1])
+    assert found == pytest.approx(np.sqrt(valid.sum() * total), rel=1e-3)
+
+
+@pytest.mark.parametrize("change", [np.negative, lambda v: (v - 5.5) ** 2], ids=["negative", "folded"])
+def test_grey_values_depend_on_each_other_at_the_true_pose_alone(change: Any) -> None:
+    """Whatever the tones of one image are in the other, and though most of their structure is not shared."""
+    rng = np.random.default_rng(5)
+    fields = tones(5)
+    images = pose_images(
+        fields + rng.normal(0, 1.5, fields.shape), change(fields) + rng.normal(0, 1.5, fields.shape)
+    )
+    grey = pose._GreyValues(*images, 96)
+    turned = np.vstack([cv2.getRotationMatrix2D(((SIDE_PX - 1) / 2,) * 2, 25.0, 1.0), [0, 0, 1]])
+    there = grey.dependence(np.eye(3))
+    assert there > 2 * grey.dependence(turned)
+    shifts = [np.array([[1.0, 0, x], [0, 1, y], [0, 0, 1]]) for x, y in ((40, 0), (0, -40), (60, 60))]
+    assert there > 2 * max(map(grey.dependence, shifts))
+    far = np.array([[1.0, 0, 2 * SIDE_PX], [0, 1, 0], [0, 0, 1]])
+    assert grey.dependence(far) == 0.0
+
+
+def test_a_pose_climbs_by_structure_and_grey_values() -> None:
+    target, matrix = seen(-20.0, 1.0, (10.0, 4.0), 1.05)
+    joint = pose._JointScore(*pose_images(REFERENCE, target), 1)
+    true = np.vstack([matrix, [0.0, 0.0, 1.0]])
+    beside = true @ [[1.03, -0.02, 2.0], [0.02, 0.98, -2.0], [0.0, 0.0, 1.0]]
+    assert mean_distance_px(beside, true, REFERENCE.shape) > 3.0
+    score, found = joint.climbed(joint.climbed(beside)[1], affine=True)
+    assert score > joint.score(beside)
+    assert score == joint.score(found)
+    assert mean_distance_px(found, true, REFERENCE.shape) < 1.0
+
+
+def test_grey_values_confirm_and_move_the_pose_of_the_structure(monkeypatch: pytest.MonkeyPatch) -> None:
+    target, matrix = seen(30.0, 1.0, (5.0, 4.0))
+    search = PoseSearch(REFERENCE, target, *[np.ones(REFERENCE.shape, bool)] * 2)
+    by_structure = search.by_structure()
+    assert by_structure is not None
+    search._found = replace(by_structure, matrix=by_structure.matrix + np.array([[0, 0, 3.0], [0, 0, -2.0]]))
+    found = search.by_grey_values()
+    assert found is not None
+    assert found.evidence >= by_structure.evidence
+    assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 1.5
+
+
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_grey_values_tell_no_pose_of_another_scene(seed: int) -> None:
+    other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
+    assert PoseSearch(REFERENCE, other, *[np.ones((300, 300), bool)] * 2).by_grey_values() is None
+
+
 def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:
     target, matrix = seen(-20.0, 1.0, (10.0, 4.0), 1.1)
-    images = [
-        pose._PoseImage(np.asarray(each, np.float32), np.ones(each.shape, bool))
-        for each in (REFERENCE, target)
-    ]
-    ascent = pose._Ascent(*images, 56)
+    ascent = pose._Ascent(*pose_images(REFERENCE, target), 56)
     true = np.vstack([matrix, [0.0, 0.0, 1.0]])
     beside = true @ [[1.05, -0.04, 3.0], [0.03, 0.97, -4.0], [0.0, 0.0, 1.0]]
     assert mean_distance_px(beside, true, REFERENCE.shape) > 5.0

@@ -273,17 +273,19 @@ def test_a_pose_is_told_in_words(rotation_deg: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("evidence", "verdicts", "accepted"),
+    ("evidence", "must_stand", "verdicts", "accepted"),
     [
-        (2.9, [False], False),
-        (2.9, [True, False], True),
-        (5.0, [False], True),
-        (2.9, [True, True, True], True),
+        (2.9, False, [False], False),
+        (2.9, False, [True, False], True),
+        (5.0, False, [False], True),
+        (2.9, False, [True, True, True], True),
+        (5.0, True, [True, False], False),
+        (5.0, True, [True, True, True], True),
     ],
     ids=str,
 )
-def test_a_pose_of_doubtful_evidence_has_to_be_accepted_twice(
-    monkeypatch: pytest.MonkeyPatch, evidence: float, verdicts: list[bool], accepted: bool
+def test_a_doubtful_pose_has_to_be_accepted_twice_and_one_of_grey_values_each_time(
+    monkeypatch: pytest.MonkeyPatch, evidence: float, must_stand: bool, verdicts: list[bool], accepted: bool
 ) -> None:
     def found(verdict: bool) -> SimpleNamespace:
         prealignment = Prealignment("pose", (0.0, 0.0), 12, searched=True, evidence=evidence)
@@ -298,7 +300,7 @@ def test_a_pose_of_doubtful_evidence_has_to_be_accepted_twice(
     grid = SimpleNamespace(shape=(100, 100), crs=None)
     view = SimpleNamespace(grid=grid, info=SimpleNamespace(grid=grid))
     start = SimpleNamespace(pair=SimpleNamespace(reference=view, offset_px=(50.0, 0.0)), overviews=None)
-    start.prealignment = Prealignment("pose", (0.0, 0.0), 12)
+    start.prealignment, start.must_stand = Prealignment("pose", (0.0, 0.0), 12), must_stand
     monkeypatch.setattr(scene, "pose_from_points", lambda points, frames: np.eye(3))
     monkeypatch.setattr(scene, "posed_start", lambda *arguments: start)
     monkeypatch.setattr(scene, "match_scene", lambda *arguments: next(upcoming))
