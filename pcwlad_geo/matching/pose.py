@@ -179,7 +179,7 @@ GREY_STEPS_PX: Final = ((1.0, 0.4), (1.5, 0.75, 0.4))
 GREY_ROUNDS: Final = 6
 """Largest number of times that all parameters are tried with a step."""
 GREY_ERROR_PX: Final = 1.0
-"""Typical error of a pose after the climb, px of images of 256 px; 0.9 at the median of near infrared."""
+"""Typical error of a pose after the climb, px of the second side; 0.9 at the median of near infrared."""
 SAMPLED_STARTS: Final = 3
 """Number of the best ascended poses from which a sample of the patches votes until no more of it agree."""
 MIN_SAMPLED: Final = 7
@@ -467,8 +467,29 @@ def _stride(ratio: float) -> int:
     return 2 if ratio <= SMALL_RATIO else 1
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class PoseSearch:
-    """A search for the similarity, or the affine transformation, between two images.
+    """What a search by the structure has found, and what one by the grey values goes on from."""
+
+    found: PoseProposal | None
+    """The pose in which most structure agrees, accepted or not; None if none could be compared."""
+    trials: list[tuple[float, Float64]]
+    """Scores and (3, 3) poses of the coarse search, the best `GREY_TRIALS`, the best first."""
+    reference: _PoseImage
+    target: _PoseImage
+    scales: tuple[float, float]
+
+
+def search_pose(
+    reference: NDArray[np.floating[Any]],
+    target: NDArray[np.floating[Any]],
+    reference_valid: Bool,
+    target_valid: Bool,
+    *,
+    scales: tuple[float, float] = SCALES,
+    stretched: bool = True,
+) -> PoseSearch:
+    """Find the similarity, or the affine transformation, between two images whose structure agrees best.
 
     Parameters
     ----------
@@ -481,103 +502,96 @@ class PoseSearch:
     stretched : bool
         Whether the search goes on where no similarity is found: from others, and with a stretched reference.
 
+    Returns
+    -------
+    PoseSearch
+
     References
     ----------
     .. [1] Padfield, D. (2012), doi:10.1109/TIP.2011.2181402 (masked normalised cross-correlation).
     """
+    first = _PoseImage(np.asarray(reference, np.float32), reference_valid)
+    second = _PoseImage(np.asarray(target, np.float32), target_valid)
+    scans = _Scan(first, second, from_target=False), _Scan(second, first, from_target=True)
+    ranked = sorted(
+        itertools.chain(*(scan.everywhere(scales) for scan in scans)), key=lambda each: -each.score
+    )
+    found = _best_by_structure(first, second, ranked, scales, stretched)
+    trials = [(trial.score, trial.matrix) for trial in ranked[:GREY_TRIALS]]  # the others take much memory
+    return PoseSearch(found, trials, first, second, scales)
 
-    def __init__(
-        self,
-        reference: NDArray[np.floating[Any]],
-        target: NDArray[np.floating[Any]],
-        reference_valid: Bool,
-        target_valid: Bool,
-        *,
-        scales: tuple[float, float] = SCALES,
-        stretched: bool = True,
-    ) -> None:
-        self._reference = _PoseImage(np.asarray(reference, np.float32), reference_valid)
-        self._target = _PoseImage(np.asarray(target, np.float32), target_valid)
-        self._scales, self._stretched = scales, stretched
-        self._found: PoseProposal | None = None
-        self._few: list[tuple[float, Float64]] | None = None
 
-    def by_structure(self) -> PoseProposal | None:
-        """Return the pose in which most structure agrees, accepted or not; None if none can be compared."""
-        if self._few is None:
-            self._found = self._by_structure()
-        return self._found
+def _best_by_structure(
+    first: _PoseImage,
+    second: _PoseImage,
+    ranked: Sequence[_PoseTrial],
+    scales: tuple[float, float],
+    stretched: bool,
+) -> PoseProposal | None:
+    """Return the pose that the `ranked` trials of the coarse search, the best first, lead to."""
+    coarse = _distinct(ranked, first.values.shape)
+    if not coarse:
+        return None
+    patches = _OverlappingPatches(first, second)
+    best_coarse = PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)
+    voted = _affine_by_patches(patches, [best_coarse], scales)
+    if voted is not None:
+        return _confirmed(first, second, voted)
+    similarity = _best_similarity(first, second, coarse)
+    if similarity.accepted or not stretched:
+        return _confirmed(first, second, similarity)
+    starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
+    ascended = _ascended(first, second, starts)
+    voted = _affine_by_patches(patches, ascended[:SAMPLED_STARTS], scales)
+    if voted is not None:
+        return _confirmed(first, second, voted)
+    affine = [each for each in ascended[:1] if _is_within(each.scale, scales)]
+    checked = [_confirmed(first, second, each) for each in (similarity, *affine)]
+    best = max(checked, key=lambda each: each.evidence)
+    return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
 
-    def _by_structure(self) -> PoseProposal | None:
-        first, second, scales = self._reference, self._target, self._scales
-        scans = _Scan(first, second, from_target=False), _Scan(second, first, from_target=True)
-        trials = itertools.chain(*(scan.everywhere(scales) for scan in scans))
-        ranked = sorted(trials, key=lambda each: -each.score)
-        self._few = [(trial.score, trial.matrix) for trial in ranked[:GREY_TRIALS]]
-        coarse = _distinct(ranked, first.values.shape)
-        if not coarse:
-            return None
-        patches = _OverlappingPatches(first, second)
-        best_coarse = PoseProposal(coarse[0].matrix[:2], coarse[0].score, 0.0)
-        voted = _affine_by_patches(patches, [best_coarse], scales)
-        if voted is not None:
-            return _confirmed(first, second, voted)
-        similarity = _best_similarity(first, second, coarse)
-        if similarity.accepted or not self._stretched:
-            return _confirmed(first, second, similarity)
-        starts = [trial.matrix for trial in coarse] + _stretched(first, second, scales)
-        ascended = _ascended(first, second, starts)
-        voted = _affine_by_patches(patches, ascended[:SAMPLED_STARTS], scales)
-        if voted is not None:
-            return _confirmed(first, second, voted)
-        affine = [each for each in ascended[:1] if _is_within(each.scale, scales)]
-        checked = [_confirmed(first, second, each) for each in (similarity, *affine)]
-        best = max(checked, key=lambda each: each.evidence)
-        return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
 
-    def by_grey_values(self) -> PoseProposal | None:
-        """Return the pose that structure and grey values together tell, moved to where both agree the most.
+def pose_by_grey_values(search: PoseSearch) -> PoseProposal | None:
+    """Return the pose that structure and grey values together tell, moved to where both agree the most.
 
-        The two are independent in unrelated images, so that the product of their scores has fewer rivals than
-        either. The poses are those of the coarse search, and the one that `by_structure` finds. None if
-        nothing could be compared, or nothing stands out.
-        """
-        first, second, found = self._reference, self._target, self.by_structure()
-        joint = _JointScore(first, second, 0)
-        scored = [(score * joint.dependence(pose), pose) for score, pose in self._few or ()]
-        start = _square(found.matrix) if found is not None and found.accepted else None
-        if start is not None:
-            scored.append((math.inf, start))  # the first, whatever its score
-        best = _best_distinct(scored, first.values.shape)
-        if len(best) < 2 or (start is None and best[0][0] < MIN_GREY_RATIO * best[1][0]):
-            return None
-        climbed = _best_distinct((joint.climbed(pose) for _, pose in best), first.values.shape)
-        rival = climbed[1][0] if len(climbed) > 1 else climbed[0][0]
-        evidence = max(0.0, EVIDENCE_PER_JOINT_RATIO * (climbed[0][0] / max(rival, 1e-9) - JOINT_RATIO))
-        evidence = min(evidence, MAX_EVIDENCE)
-        if found is not None and start is not None and self._are_one(start, climbed[0][1]):
-            evidence = max(evidence, found.evidence, self._both(found.evidence, joint, climbed[0][1]))
-        if evidence < MIN_EVIDENCE:
-            return None
-        finer = _JointScore(first, second, 1)
-        score, pose = finer.climbed(finer.climbed(climbed[0][1])[1], affine=True)
-        error_px = GREY_ERROR_PX * max(1.0, first.side_px / GREY_SIDES_PX[1])
-        proposal = PoseProposal(pose[:2], score, evidence, spread_px=error_px)
-        return proposal if _is_within(proposal.scale, self._scales) else None
+    The two are independent in unrelated images, so that the product of their scores has fewer rivals than
+    either. The poses are those of the coarse search, and the one that was found. None if nothing could be
+    compared, or nothing stands out.
+    """
+    first, second, found = search.reference, search.target, search.found
+    shape = first.values.shape
+    structure = _Ascent(first, second, ASCENT_CELLS[-1])
+    coarse = _JointScore(first, second, structure, 0)
+    dependences = [coarse.grey.dependence(pose) for _, pose in search.trials]
+    scored = [(score * by, pose) for (score, pose), by in zip(search.trials, dependences, strict=True)]
+    known = found if found is not None and found.accepted else None
+    if known is not None:
+        scored.append((math.inf, _square(known.matrix)))  # the first, whatever its score
+    best = _best_distinct(scored, shape)
+    if len(best) < 2 or (known is None and best[0][0] < MIN_GREY_RATIO * best[1][0]):
+        return None
+    climbed = _best_distinct((coarse.climbed(pose) for _, pose in best), shape)
+    score, pose = climbed[0]
+    ratio = score / max(climbed[1][0] if len(climbed) > 1 else score, 1e-9)
+    evidence = min(max(0.0, EVIDENCE_PER_JOINT_RATIO * (ratio - JOINT_RATIO)), MAX_EVIDENCE)
 
-    def _both(self, of_structure: float, joint: _JointScore, pose: Float64) -> float:
-        """Return the evidence of structure and of grey values, which are independent, for a (3, 3) pose."""
-        others = [other for _, other in self._few or () if not self._are_one(pose, other)]
-        rival = max(map(joint.dependence, others), default=math.inf)
-        both = of_structure + EVIDENCE_PER_GREY_RATIO * max(
-            0.0, joint.dependence(pose) / max(rival, 1e-9) - 1
-        )
-        return min(_fisher(both), MAX_GREY_EVIDENCE)
+    def is_here(other: Float64) -> bool:
+        return mean_distance_px(pose[:2], other[:2], shape) < DISTINCT_DISTANCE * first.side_px
 
-    def _are_one(self, one: Float64, other: Float64) -> bool:
-        """Whether two (3, 3) poses are not distinct."""
-        apart_px = mean_distance_px(one, other, self._reference.values.shape)
-        return apart_px < DISTINCT_DISTANCE * self._reference.side_px
+    if known is not None and is_here(known.matrix):
+        elsewhere = [
+            by for (_, other), by in zip(search.trials, dependences, strict=True) if not is_here(other)
+        ]
+        grey_ratio = coarse.grey.dependence(pose) / max(max(elsewhere, default=math.inf), 1e-9)
+        both = _fisher(known.evidence + EVIDENCE_PER_GREY_RATIO * max(0.0, grey_ratio - 1))
+        evidence = max(evidence, known.evidence, min(both, MAX_GREY_EVIDENCE))
+    if evidence < MIN_EVIDENCE:
+        return None
+    fine = _JointScore(first, second, structure, 1)
+    score, pose = fine.climbed(fine.climbed(pose)[1], affine=True)
+    error_px = GREY_ERROR_PX * max(1.0, first.side_px / GREY_SIDES_PX[1])
+    proposal = PoseProposal(pose[:2], score, evidence, spread_px=error_px)
+    return proposal if _is_within(proposal.scale, search.scales) else None
 
 
 def _fisher(both: float) -> float:
@@ -1101,10 +1115,9 @@ def _terms(planes: Float32) -> Float32:
 class _JointScore:
     """Scores poses by the structure and by the grey values of two images, and moves them to higher scores."""
 
-    def __init__(self, reference: _PoseImage, target: _PoseImage, stage: int) -> None:
+    def __init__(self, reference: _PoseImage, target: _PoseImage, structure: _Ascent, stage: int) -> None:
         side_px = GREY_SIDES_PX[stage]
-        self._structure = _Ascent(reference, target, ASCENT_CELLS[-1])
-        self.dependence = _GreyValues(reference, target, side_px).dependence
+        self._structure, self.grey = structure, _GreyValues(reference, target, side_px)
         rows, cols = reference.values.shape
         self._middle = np.array([cols - 1, rows - 1]) / 2
         # by which a parameter moves the border, as a share of that distance
@@ -1113,7 +1126,7 @@ class _JointScore:
 
     def score(self, pose: Float64) -> float:
         """Return the product of both scores of a (3, 3) pose."""
-        return self.dependence(pose) * max(self._structure.score(pose), 0.0)
+        return self.grey.dependence(pose) * max(self._structure.score(pose), 0.0)
 
     def climbed(self, pose: Float64, *, affine: bool = False) -> tuple[float, Float64]:
         """Move a (3, 3) pose to the highest score near it by a pattern search; return both.

@@ -18,7 +18,7 @@ from pcwlad_geo.correction.models import ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.pose import SCALES, PoseProposal, PoseSearch
+from pcwlad_geo.matching.pose import SCALES, PoseProposal, pose_by_grey_values, search_pose
 from pcwlad_geo.matching.prepare import (
     Image,
     Noise,
@@ -211,7 +211,7 @@ def by_search(
 
 
 class PoseStarts:
-    """Starts from poses, which are searched on the overviews when they are asked for.
+    """Starts from poses, which are searched on the overviews, by the grey values when they are asked for.
 
     The `search_radius` is that of the coarse match afterwards; None: by the precision of the pose.
     """
@@ -227,7 +227,7 @@ class PoseStarts:
             self._factors = [max(1.0, max(view.grid.shape) / OVERVIEW_SIDE_PX) for view in views]
             reference, target = (view.reduced(by) for view, by in zip(views, self._factors, strict=True))
         by_px = (self._expected or 1.0) * self._factors[0] / self._factors[1]
-        self._search = PoseSearch(
+        self._search = search_pose(
             reference.values,
             target.values,
             reference.valid,
@@ -238,11 +238,11 @@ class PoseStarts:
 
     def by_structure(self) -> StartingAlignment | None:
         """Return the start in which the structure agrees best; None if none is accepted."""
-        return self._start(self._search.by_structure())
+        return self._start(self._search.found)
 
     def by_grey_values(self) -> StartingAlignment | None:
         """Return that in which structure and grey values together agree best; None if none is accepted."""
-        start = self._start(self._search.by_grey_values())
+        start = self._start(pose_by_grey_values(self._search))
         return start and replace(start, must_stand=True)
 
     def _start(self, found: PoseProposal | None) -> StartingAlignment | None:

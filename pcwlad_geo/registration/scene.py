@@ -655,9 +655,10 @@ def _starts(
         found, _ = by_search(pair, overviews, radius)
         log.on_event(Progress("prealignment", 1, 1))
     yield None if found is None else StartingAlignment(found, pair, overviews)
-    posed = PoseStarts(pair, overviews, radius) if can_be_posed(pair) else None
-    if posed is not None:
+    posed = None
+    if can_be_posed(pair):
         with log.stage("prealignment"):
+            posed = PoseStarts(pair, overviews, radius)
             start = posed.by_structure()
         yield start
     if search_first:

@@ -15,7 +15,7 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.execution.runner import Runner, one_library_thread
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.pose import PoseSearch
+from pcwlad_geo.matching.pose import search_pose
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from pcwlad_geo.rigs.adjustment import Adjusted, Observations, RigState, adjust
 from pcwlad_geo.rigs.captures import Capture, Frame, first_lens, panel_shown, read_frame
@@ -280,7 +280,7 @@ def similarity_of(reference: Float32, target: Float32, scales: tuple[float, floa
     steps = reference.shape[1] / first.shape[1], target.shape[1] / second.shape[1]
     ratio = steps[0] / steps[1]
     valid = np.ones(first.shape, bool), np.ones(second.shape, bool)
-    found = PoseSearch(first, second, *valid, scales=(scales[0] * ratio, scales[1] * ratio)).by_structure()
+    found = search_pose(first, second, *valid, scales=(scales[0] * ratio, scales[1] * ratio)).found
     if found is None or not (found.accepted or found.agreeing >= 12):
         return None
     linear = found.matrix[:, :2] * steps[1] / steps[0]

@@ -11,7 +11,7 @@ import pytest
 
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching import pose
-from pcwlad_geo.matching.pose import PoseProposal, PoseSearch, mean_distance_px
+from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, pose_by_grey_values, search_pose
 from tests.matching.test_global_search import cover, modality
 
 SIDE_PX = 300
@@ -43,7 +43,7 @@ def gentle(image: np.ndarray, scale: float) -> np.ndarray:
 
 def search(target: np.ndarray, **options: Any) -> PoseProposal | None:
     valid = np.ones(REFERENCE.shape, bool), np.ones(target.shape, bool)
-    return PoseSearch(REFERENCE, target, *valid, **options).by_structure()
+    return search_pose(REFERENCE, target, *valid, **options).found
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_invalid_pixels_do_not_count() -> None:
     valid = np.ones(target.shape, bool)
     valid[:90] = False
     spoiled = np.where(valid, target, 1000.0 * (np.indices(target.shape).sum(axis=0) % 7 == 0))
-    found = PoseSearch(REFERENCE, spoiled, np.ones(REFERENCE.shape, bool), valid).by_structure()
+    found = search_pose(REFERENCE, spoiled, np.ones(REFERENCE.shape, bool), valid).found
     assert found is not None
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
 
@@ -129,7 +129,7 @@ def test_a_pose_that_others_outscore_is_found_by_its_patches(monkeypatch: pytest
 
 
 def tones(seed: int) -> np.ndarray:
-    """Return fields of twelve tones, each a Voronoi cell, with a texture of their own."""
+    """Return fields of twelve tones, each a Voronoi cell."""
     rng = np.random.default_rng(seed)
     row, col = np.mgrid[0:SIDE_PX, 0:SIDE_PX]
     middles = rng.uniform(0, SIDE_PX, (60, 2))
@@ -188,7 +188,8 @@ def test_grey_values_depend_on_each_other_at_the_true_pose_alone(change: Any) ->
 
 def test_a_pose_climbs_by_structure_and_grey_values() -> None:
     target, matrix = seen(-20.0, 1.0, (10.0, 4.0), 1.05)
-    joint = pose._JointScore(*pose_images(REFERENCE, target), 1)
+    images = pose_images(REFERENCE, target)
+    joint = pose._JointScore(*images, pose._Ascent(*images, 112), 1)
     true = np.vstack([matrix, [0.0, 0.0, 1.0]])
     beside = true @ [[1.03, -0.02, 2.0], [0.02, 0.98, -2.0], [0.0, 0.0, 1.0]]
     assert mean_distance_px(beside, true, REFERENCE.shape) > 3.0
@@ -198,13 +199,13 @@ def test_a_pose_climbs_by_structure_and_grey_values() -> None:
     assert mean_distance_px(found, true, REFERENCE.shape) < 1.0
 
 
-def test_grey_values_confirm_and_move_the_pose_of_the_structure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_grey_values_confirm_and_move_the_pose_of_the_structure() -> None:
     target, matrix = seen(30.0, 1.0, (5.0, 4.0))
-    search = PoseSearch(REFERENCE, target, *[np.ones(REFERENCE.shape, bool)] * 2)
-    by_structure = search.by_structure()
+    searched = search_pose(REFERENCE, target, *[np.ones(REFERENCE.shape, bool)] * 2)
+    by_structure = searched.found
     assert by_structure is not None
-    search._found = replace(by_structure, matrix=by_structure.matrix + np.array([[0, 0, 3.0], [0, 0, -2.0]]))
-    found = search.by_grey_values()
+    beside = replace(by_structure, matrix=by_structure.matrix + np.array([[0, 0, 3.0], [0, 0, -2.0]]))
+    found = pose_by_grey_values(replace(searched, found=beside))
     assert found is not None
     assert found.evidence >= by_structure.evidence
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 1.5
@@ -213,7 +214,8 @@ def test_grey_values_confirm_and_move_the_pose_of_the_structure(monkeypatch: pyt
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_grey_values_tell_no_pose_of_another_scene(seed: int) -> None:
     other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
-    assert PoseSearch(REFERENCE, other, *[np.ones((300, 300), bool)] * 2).by_grey_values() is None
+    searched = search_pose(REFERENCE, other, *[np.ones((300, 300), bool)] * 2)
+    assert pose_by_grey_values(searched) is None
 
 
 def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:
