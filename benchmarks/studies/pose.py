@@ -43,7 +43,7 @@ from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from benchmarks.timing import cheapest
 from benchmarks.unrelated import PAIRINGS, REPOSITORY, Part, unrelated_parts
 from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.matching.pose import pose_by_grey_values, search_pose
+from pcwlad_geo.matching.pose import poses_by_grey_values, search_pose
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.registration.run import run
@@ -663,7 +663,7 @@ def _searched(*images: Array) -> None:
     """Search as a job does that finds no start: by the structure, and by the grey values too."""
     search = search_pose(*images)
     if search.found is None or not search.found.accepted:
-        pose_by_grey_values(search)
+        list(poses_by_grey_values(search))
 
 
 def _time(data: Path, scratch: Path, _runner: Runner, _share: float) -> Iterator[Table]:

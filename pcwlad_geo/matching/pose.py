@@ -33,6 +33,7 @@ from pcwlad_geo.matching.kernels.pose_search import (
     place_layer,
     weigh_by_overlap,
 )
+from pcwlad_geo.matching.maps import Ranks, local_deviation
 from pcwlad_geo.matching.shift_search import (
     MIN_PATCHES,
     Patches,
@@ -153,12 +154,6 @@ GREY_SIDES_PX: Final = (96, 192)
 GREY_REACH: Final = 0.125
 """Sigma of the Gaussian whose mean is taken from grey values, as a share of that side: what is wider is
 light, haze or a slope, which any two images may share."""
-GREY_BLUR_PX: Final = 0.7
-"""Sigma of the Gaussian that smooths them."""
-GREY_TONES: Final = 4096
-"""Number of equal steps in which they are ranked."""
-GREY_DEVIATIONS: Final = 4.0
-"""Distance from 0, in standard deviations, beyond which they have the same rank."""
 GREY_TRIALS: Final = 150
 """Number of the best poses of the coarse search whose grey values are compared."""
 GREY_DISTINCT: Final = 6
@@ -199,6 +194,10 @@ AGREEING_BY_CHANCE: Final = 14.0
 """Number of these patches that agree in unrelated images (median of 63 pairs; the most were 24)."""
 PATCHES_PER_DECADE: Final = 7.5
 """Number of further patches whose agreement makes chance ten times less probable."""
+GREY_AGREEING_BY_CHANCE: Final = 9.0
+"""The same of patches that are compared by their grey values (of 58 pairs; the most were 17)."""
+GREY_PATCHES_PER_DECADE: Final = 5.0
+"""The same of these: 12 agree in one of ten unrelated pairs."""
 
 _ROOT_2 = math.sqrt(2.0)
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
@@ -551,23 +550,40 @@ def _best_by_structure(
     return _Frame(first, second, best).moved_to_consensus(best) if best.accepted else similarity
 
 
-def pose_by_grey_values(search: PoseSearch) -> PoseProposal | None:
-    """Return the pose that structure and grey values together tell, moved to where both agree the most.
+def poses_by_grey_values(search: PoseSearch) -> Iterator[PoseProposal | None]:
+    """Yield the pose on which patches agree by their grey values, then that which all grey values tell.
 
-    The two are independent in unrelated images, so that the product of their scores has fewer rivals than
-    either. The poses are those of the coarse search, and the one that was found. None if nothing could be
-    compared, or nothing stands out.
+    Both begin with poses of the coarse search, and the one that was found. In unrelated images grey values
+    and structure are independent, so that the product of their scores has fewer rivals than either. The
+    second pose is moved to where both agree the most. None where nothing stands out.
     """
     first, second, found = search.reference, search.target, search.found
-    shape = first.values.shape
-    structure = _Ascent(first, second, ASCENT_CELLS[-1])
-    coarse = _JointScore(first, second, structure, 0)
+    coarse = _JointScore(first, second, _Ascent(first, second, ASCENT_CELLS[-1]), 0)
     dependences = [coarse.grey.dependence(pose) for _, pose in search.trials]
     scored = [(score * by, pose) for (score, pose), by in zip(search.trials, dependences, strict=True)]
     known = found if found is not None and found.accepted else None
     if known is not None:
         scored.append((math.inf, _square(known.matrix)))  # the first, whatever its score
-    best = _best_distinct(scored, shape)
+    best = _best_distinct(scored, first.values.shape)
+    starts = [PoseProposal(pose[:2], score, 0.0) for score, pose in best]
+    if known is not None:
+        starts[0] = known
+    yield _affine_by_patches(_GreyPatches(first, second), starts, search.scales) if starts else None
+    yield _climbed_pose(search, coarse, dependences, best, known)
+
+
+def _climbed_pose(
+    search: PoseSearch,
+    coarse: _JointScore,
+    dependences: Sequence[float],
+    best: Sequence[tuple[float, Float64]],
+    known: PoseProposal | None,
+) -> PoseProposal | None:
+    """Return the pose of the `best` that stands out when they have climbed; None if none does.
+
+    The `dependences` are those of the trials of the search; `known` is the first of the best, if accepted.
+    """
+    first, second, shape = search.reference, search.target, search.reference.values.shape
     if len(best) < 2 or (known is None and best[0][0] < MIN_GREY_RATIO * best[1][0]):
         return None
     climbed = _best_distinct((coarse.climbed(pose) for _, pose in best), shape)
@@ -587,7 +603,7 @@ def pose_by_grey_values(search: PoseSearch) -> PoseProposal | None:
         evidence = max(evidence, known.evidence, min(both, MAX_GREY_EVIDENCE))
     if evidence < MIN_EVIDENCE:
         return None
-    fine = _JointScore(first, second, structure, 1)
+    fine = _JointScore(first, second, coarse.structure, 1)
     score, pose = fine.climbed(fine.climbed(pose)[1], affine=True)
     error_px = GREY_ERROR_PX * max(1.0, first.side_px / GREY_SIDES_PX[1])
     proposal = PoseProposal(pose[:2], score, evidence, spread_px=error_px)
@@ -745,26 +761,23 @@ class _Votes:
     def agreeing(self) -> int:
         return int(np.count_nonzero(self.agrees))
 
-    @property
-    def evidence(self) -> float:
-        """-log10 of the probability, as measured, that as many patches of unrelated images agree."""
-        return max(0.0, min((self.agreeing - AGREEING_BY_CHANCE) / PATCHES_PER_DECADE, MAX_EVIDENCE))
-
 
 class _OverlappingPatches:
     """Patches of the reference, which are looked for in the target as poses place it."""
 
+    _by_chance, _per_decade = AGREEING_BY_CHANCE, PATCHES_PER_DECADE
+
     def __init__(self, reference: _PoseImage, target: _PoseImage) -> None:
         self._factor = min(1.0, VOTING_SIDE_PX / reference.side_px)
         values, self._valid, self._to_voting = _shrunk(reference.values, reference.valid, self._factor)
-        self._channels, usable = _voting_channels(values, self._valid)
+        self._planes, self._usable = self._seen(values, self._valid)
         self._target = target
-        rows, cols = (range(0, n - PATCH_PX + 1, PATCH_STEP_PX) for n in usable.shape)
+        rows, cols = (range(0, n - PATCH_PX + 1, PATCH_STEP_PX) for n in self._usable.shape)
         self._corners = [
             (row, col, not (i % PATCH_STRIDE or j % PATCH_STRIDE))
             for i, row in enumerate(rows)
             for j, col in enumerate(cols)
-            if usable[row : row + PATCH_PX, col : col + PATCH_PX].mean() >= PATCH_VALID
+            if self._usable[row : row + PATCH_PX, col : col + PATCH_PX].mean() >= PATCH_VALID
         ]
 
     def vote(self, pose: Float64, *, sample: bool = False) -> tuple[_Votes, Float64]:
@@ -775,7 +788,7 @@ class _OverlappingPatches:
         from_voting = inverse(self._to_voting)
         to_placed = to_small @ pose @ from_voting
         placed = _warped_image(small, known, to_placed, self._valid.shape, PATCH_REACH_PX)
-        middles, displacements, distinct = self._displacements(*_voting_channels(*placed), sample=sample)
+        middles, displacements, distinct = self._displacements(*self._seen(*placed), sample=sample)
         votes, to_target = _consensus(middles, displacements, distinct), inverse(to_small) @ to_placed
         agreed = to_target @ votes.matrix @ self._to_voting
         if not sample and votes.agrees.any():
@@ -785,33 +798,76 @@ class _OverlappingPatches:
             agreed = _as_similarity(agreed, reference_px, target_px, votes.agrees, tolerance_px)
         return votes, agreed
 
+    def evidence(self, votes: _Votes) -> float:
+        """Return -log10 of the probability, as measured, that as many patches of unrelated images agree."""
+        return max(0.0, min((votes.agreeing - self._by_chance) / self._per_decade, MAX_EVIDENCE))
+
     def px(self, voting_px: float) -> float:
         """Return a length in px of the reference."""
         return voting_px / self._factor
 
     def _displacements(
-        self, channels: Float32, usable: Float32, *, sample: bool
+        self, planes: Float32, usable: Float32, *, sample: bool
     ) -> tuple[Float64, Float64, Float64]:
         """Return (n, 2) middles and displacements (col, row) of the patches, and how distinct each is."""
         side = 2 * PATCH_REACH_PX + 1
-        energy, count = (window_sums(plane, PATCH_PX) for plane in ((channels**2).sum(axis=2), usable))
-        norm = np.where(count >= PATCH_VALID * PATCH_PX**2, 1 / np.sqrt(np.maximum(energy, 1e-6)), 0)
+        enough = window_sums(usable, PATCH_PX) >= PATCH_VALID * PATCH_PX**2
+        norms = np.where(enough, self._norms(planes, usable), 0)
         found = []
         for row, col, sampled in self._corners:
-            shifts = np.s_[row : row + side, col : col + side]
-            if (sample and not sampled) or np.count_nonzero(norm[shifts]) < PATCH_VALID * side**2:
+            there = np.s_[..., row : row + side, col : col + side]
+            if (sample and not sampled) or np.count_nonzero(enough[there]) < PATCH_VALID * side**2:
                 continue
-            patch = self._channels[row : row + PATCH_PX, col : col + PATCH_PX]
-            search = channels[row : row + PATCH_PX + side - 1, col : col + PATCH_PX + side - 1]
-            surface = cv2.matchTemplate(search, patch, cv2.TM_CCORR) * norm[shifts]
+            patch = np.s_[row : row + PATCH_PX, col : col + PATCH_PX]
+            search = planes[row : row + PATCH_PX + side - 1, col : col + PATCH_PX + side - 1]
+            surface = self._surface(patch, search, norms[there])
             found.append((col + (PATCH_PX - 1) / 2, row + (PATCH_PX - 1) / 2, *_peak(surface)))
         table = np.array(found, np.float64).reshape(-1, 5)
         return table[:, :2], table[:, 2:4] - PATCH_REACH_PX, table[:, 4]
 
+    def _seen(self, values: Float32, valid: Bool) -> tuple[Float32, Float32]:
+        """Return the (rows, cols, n) planes that are compared, and where they are usable, 1 or 0."""
+        channels, usable = normalised_channels(values, valid)
+        return np.asarray(cv2.GaussianBlur(channels, (0, 0), PATCH_BLUR_PX), np.float32), usable
 
-def _voting_channels(values: Float32, valid: Bool) -> tuple[Float32, Float32]:
-    channels, usable = normalised_channels(values, valid)
-    return np.asarray(cv2.GaussianBlur(channels, (0, 0), PATCH_BLUR_PX), np.float32), usable
+    def _norms(self, planes: Float32, usable: Float32) -> Float64:
+        """Return by what the windows of the target are normalised, of shape (…, rows, cols)."""
+        return 1 / np.sqrt(np.maximum(window_sums((planes**2).sum(axis=2), PATCH_PX), 1e-6))
+
+    def _surface(self, patch: tuple[slice, slice], search: Float32, norms: Float64) -> Float64:
+        """Return how well a patch of the reference fits at each displacement."""
+        return np.asarray(cv2.matchTemplate(search, self._planes[patch], cv2.TM_CCORR) * norms)
+
+
+class _GreyPatches(_OverlappingPatches):
+    """The same patches, compared by how far their grey values depend on each other, as `_GreyValues`."""
+
+    _by_chance, _per_decade = GREY_AGREEING_BY_CHANCE, GREY_PATCHES_PER_DECADE
+
+    def _seen(self, values: Float32, valid: Bool) -> tuple[Float32, Float32]:
+        reach_px = GREY_REACH * max(self._valid.shape)
+        planes = _rank_polynomials(values, valid, reach_px)
+        return np.ascontiguousarray(planes[..., :2]), np.ascontiguousarray(planes[..., 2])
+
+    def _norms(self, planes: Float32, usable: Float32) -> Float64:
+        count = np.maximum(window_sums(usable, PATCH_PX), 1)
+        sums = [
+            (window_sums(plane, PATCH_PX), window_sums(plane**2, PATCH_PX))
+            for plane in planes.transpose(2, 0, 1)
+        ]
+        return np.stack([1 / np.maximum(square - total**2 / count, 1e-3) for total, square in sums])
+
+    def _surface(self, patch: tuple[slice, slice], search: Float32, norms: Float64) -> Float64:
+        dependence = np.zeros(norms.shape[1:])
+        known = self._usable[patch] > 0
+        for plane in self._planes[patch].transpose(2, 0, 1):
+            # without its mean the patch needs none of the windows that it is compared with
+            varying = np.where(known, plane - plane[known].mean(), 0).astype(np.float32)
+            energy = max(float((varying**2).sum()), 1e-3)
+            for other, norm in zip(search.transpose(2, 0, 1), norms, strict=True):
+                product = cv2.matchTemplate(np.ascontiguousarray(other), varying, cv2.TM_CCORR)
+                dependence += product**2 * norm / energy
+        return np.sqrt(dependence)
 
 
 def _peak(surface: NDArray[Any]) -> tuple[int, int, float]:
@@ -903,7 +959,9 @@ def _affine_by_patches(
         if few.agreeing < MIN_SAMPLED and start.evidence < MIN_EVIDENCE_FOR_ALL_PATCHES:
             continue
         votes, pose = _iterated_consensus(patches, *patches.vote(pose), sample=False)
-        own_evidence = votes.evidence - math.log10(len(starts))  # of several starts one agrees by chance
+        own_evidence = patches.evidence(votes) - math.log10(
+            len(starts)
+        )  # of several starts one agrees by chance
         evidence = min(start.evidence + own_evidence, MAX_EVIDENCE)
         if own_evidence > 0 and evidence >= MIN_EVIDENCE and _is_within(_scale_of(pose), scales):
             spread_px, of = patches.px(votes.spread_px), len(votes.agrees)
@@ -1089,18 +1147,11 @@ def _rank_polynomials(values: Float32, valid: Bool, reach_px: float) -> Float32:
 
     They are (rows, cols, 3): of first and second order, and 1 where they are valid.
     """
-    smooth = np.asarray(cv2.GaussianBlur(values, (0, 0), GREY_BLUR_PX), np.float32)
-    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), reach_px)
-    mean = cv2.GaussianBlur(np.where(valid, smooth, np.float32(0)), (0, 0), reach_px)
-    local = (smooth - mean / np.maximum(weight, np.float32(1e-3)))[valid]
     planes = np.zeros((*values.shape, 3), np.float32)
+    local = local_deviation(values, valid, reach_px)[valid]
     if len(local):
-        # by a table, in which equal values share a rank: to sort them takes ten times as long
-        reach = GREY_DEVIATIONS * max(float(local.std()), 1e-9)
-        place = ((local / reach + 1) * (GREY_TONES / 2)).clip(0, GREY_TONES - 1).astype(np.intp)
-        counts = np.bincount(place, minlength=GREY_TONES)
-        rank = ((2 * np.cumsum(counts) - counts) / len(local) - 1).astype(np.float32)[place]
-        planes[valid] = np.stack([rank, 1.5 * rank**2 - 0.5, np.ones_like(rank)], axis=-1)
+        planes[valid, :2] = Ranks.of(local).polynomials(local)
+        planes[valid, 2] = 1
     return planes
 
 
@@ -1117,7 +1168,7 @@ class _JointScore:
 
     def __init__(self, reference: _PoseImage, target: _PoseImage, structure: _Ascent, stage: int) -> None:
         side_px = GREY_SIDES_PX[stage]
-        self._structure, self.grey = structure, _GreyValues(reference, target, side_px)
+        self.structure, self.grey = structure, _GreyValues(reference, target, side_px)
         rows, cols = reference.values.shape
         self._middle = np.array([cols - 1, rows - 1]) / 2
         # by which a parameter moves the border, as a share of that distance
@@ -1126,7 +1177,7 @@ class _JointScore:
 
     def score(self, pose: Float64) -> float:
         """Return the product of both scores of a (3, 3) pose."""
-        return self.grey.dependence(pose) * max(self._structure.score(pose), 0.0)
+        return self.grey.dependence(pose) * max(self.structure.score(pose), 0.0)
 
     def climbed(self, pose: Float64, *, affine: bool = False) -> tuple[float, Float64]:
         """Move a (3, 3) pose to the highest score near it by a pattern search; return both.

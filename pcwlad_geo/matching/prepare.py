@@ -23,6 +23,7 @@ from pcwlad_geo.matching.coarse import MaskedMap
 from pcwlad_geo.matching.kernels.library import fast_even, in_threads
 from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
 from pcwlad_geo.matching.maps import (
+    Tones,
     maximum_moment,
     oriented_gradients,
     oriented_phase_congruency,
@@ -283,6 +284,8 @@ class Image:
     """The scene's ε, see `maps.scene_epsilon`."""
     noise: Noise = NO_NOISE
     """The scene's noise."""
+    tones: Tones | None = None
+    """What the scene's grey values are matched by; None where structure is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -317,8 +320,9 @@ def prepare(
     """Compute the maps of both images, of the same shape.
 
     The `channels` that are matched are six oriented maps of phase congruency, six oriented gradients, or the
-    one map M of the paper. The filters need `halo_px` rows and columns along all four edges, which the result
-    leaves out; `threads` may compute the maps, and refine points on them.
+    one map M of the paper; of images with tones they are those of their grey values. The filters need
+    `halo_px` rows and columns along all four edges, which the result leaves out; `threads` may compute the
+    maps, and refine points on them.
     """
     smooth = 0.0 if channels == "moment" else smoothing_px(reference.noise, target.noise)
     reference, target = without_speckle(reference), without_speckle(target)
@@ -345,13 +349,17 @@ def without_speckle(image: Image) -> Image:
         return image
     valid = speckle.known(image.values, image.valid)
     noise = replace(image.noise, rounding=0.0)
-    return Image(speckle.stabilised(image.values, valid).astype(np.float32), valid, speckle.epsilon, noise)
+    values = speckle.stabilised(image.values, valid).astype(np.float32)
+    return Image(values, valid, speckle.epsilon, noise, image.tones)
 
 
 def _maps(
     filled: Floating, image: Image, channels: Channels, smooth_px: float, halo_px: int
 ) -> tuple[ChannelMaps, MaskedMap]:
-    if channels == "gradients":
+    if image.tones is not None:
+        maps, whole = image.tones.maps(filled, image.valid)
+        whole *= np.float32(FULL_SCALE)
+    elif channels == "gradients":
         maps, whole = oriented_gradients(filled, image.epsilon, smooth_px)
     else:
         rows, cols = _used(image.valid)

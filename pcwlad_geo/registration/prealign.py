@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final, Protocol
@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from pcwlad_geo.correction.models import ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.pose import SCALES, PoseProposal, pose_by_grey_values, search_pose
+from pcwlad_geo.matching.maps import GREY_REACH_PX, Tones, scene_epsilon
+from pcwlad_geo.matching.pose import SCALES, PoseProposal, poses_by_grey_values, search_pose
 from pcwlad_geo.matching.prepare import (
     Image,
     Noise,
@@ -28,6 +28,7 @@ from pcwlad_geo.matching.prepare import (
     without_speckle,
 )
 from pcwlad_geo.matching.shift_search import SearchResult, mapped, search_shift
+from pcwlad_geo.matching.types import TRAITS
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, map_px
@@ -54,6 +55,9 @@ POSE_ERROR_PX: Final = 1.0
 """Uncertainty of a pose that a search finds beside the spread of its patches, in pixels of the overview."""
 SEARCH_ERROR_PX: Final = 2.0
 """Uncertainty of the shift that a search finds, in pixels of the overview."""
+
+MIN_GREY_REACH_PX: Final = 2.0
+"""Least sigma of the local mean of grey values on an overview."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +124,8 @@ class Prealignment:
     where these are not known, or not needed."""
     tried: int = 1
     """Number of starts that the matching tried, this one included."""
+    matched_by: str = "structure"
+    """structure, or grey values, where the two show too little of the same structure."""
 
     @property
     def net_evidence(self) -> float:
@@ -136,6 +142,25 @@ class StartingAlignment:
     overviews: Overviews
     must_stand: bool = False
     """Whether the match in the pose that its own points tell must be accepted, too, each time."""
+
+    def by_tones(self, settings: Settings) -> StartingAlignment | None:
+        """Return a start from which the grey values are matched.
+
+        None where too few pixels tell how, or the method of the settings is another than the default.
+        """
+        tones = _tones(self.pair, self.overviews)
+        if tones is None or TRAITS[settings.method].channels != "orientations":
+            return None
+        first, second = (replace(of, tones=by) for of, by in zip(self.overviews.scenes, tones, strict=True))
+        prealignment = replace(self.prealignment, matched_by="grey values")
+        return replace(
+            self, prealignment=prealignment, overviews=replace(self.overviews, scenes=(first, second))
+        )
+
+    @property
+    def matches_tones(self) -> bool:
+        """Whether grey values are matched instead of structure."""
+        return self.overviews.scenes[0].tones is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,6 +192,24 @@ def read_overviews(pair: ViewPair) -> Overviews:
         patches.append(Patch(np.asarray(image.values, np.float32), image.valid))
         scenes.append(Scene(image.epsilon, noise))
     return Overviews(patches[0], patches[1], factor, (scenes[0], scenes[1]))
+
+
+def _tones(pair: ViewPair, overviews: Overviews) -> tuple[Tones, Tones] | None:
+    """Measure how the grey values of two views depend on each other as these are placed."""
+    col, row = np.round(np.asarray(pair.offset_px) / overviews.factor).astype(int).tolist()
+    first, second = overviews.reference, overviews.target
+    # target index = reference index + (row, col)
+    rows, cols = (
+        (max(0, -by), min(own, other - by))
+        for by, own, other in zip((row, col), first.valid.shape, second.valid.shape, strict=True)
+    )
+    if rows[0] >= rows[1] or cols[0] >= cols[1]:
+        return None
+    here = np.s_[rows[0] : rows[1], cols[0] : cols[1]]
+    there = np.s_[rows[0] + row : rows[1] + row, cols[0] + col : cols[1] + col]
+    images = first.values[here], second.values[there]
+    valid = first.valid[here] & second.valid[there]
+    return Tones.of_pair(images, valid, max(GREY_REACH_PX / overviews.factor, MIN_GREY_REACH_PX))
 
 
 def by_georeferencing(search_radius: int | None) -> Prealignment:
@@ -213,11 +256,12 @@ def by_search(
 class PoseStarts:
     """Starts from poses, which are searched on the overviews, by the grey values when they are asked for.
 
-    The `search_radius` is that of the coarse match afterwards; None: by the precision of the pose.
+    The search radius of the settings is that of the coarse match afterwards; None: by the precision of the
+    pose.
     """
 
-    def __init__(self, pair: ViewPair, overviews: Overviews, search_radius: int | None) -> None:
-        self._pair, self._overviews, self._search_radius = pair, overviews, search_radius
+    def __init__(self, pair: ViewPair, overviews: Overviews, settings: Settings) -> None:
+        self._pair, self._overviews, self._settings = pair, overviews, settings
         self._expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
         if self._expected is None or pair.georeferenced:
             self._expected, self._factors = None, [overviews.factor] * 2
@@ -240,10 +284,16 @@ class PoseStarts:
         """Return the start in which the structure agrees best; None if none is accepted."""
         return self._start(self._search.found)
 
-    def by_grey_values(self) -> StartingAlignment | None:
-        """Return that in which structure and grey values together agree best; None if none is accepted."""
-        start = self._start(pose_by_grey_values(self._search))
-        return start and replace(start, must_stand=True)
+    def by_grey_values(self) -> Iterator[StartingAlignment]:
+        """Yield those that grey values tell: their patches, then all of them together with the structure.
+
+        What patches agreed on is matched by the grey values, too.
+        """
+        for found, matches_tones in zip(poses_by_grey_values(self._search), (True, False), strict=True):
+            start = self._start(found)
+            start = start.by_tones(self._settings) if start is not None and matches_tones else start
+            if start is not None:
+                yield replace(start, must_stand=True)
 
     def _start(self, found: PoseProposal | None) -> StartingAlignment | None:
         if found is None or not found.accepted:
@@ -259,7 +309,7 @@ class PoseStarts:
             scale = math.sqrt(abs(float(np.linalg.det(matrix[:2, :2]))))
             px = factors[0] * min(1.0, scale), factors[1] * min(1.0, 1 / scale)
             coarse_px = px[0] * found.spread_px + max(px) * POSE_ERROR_PX
-        radius = self._search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(coarse_px)
+        radius = self._settings.search_radius or RADIUS_AFTER_SEARCH_PX + math.ceil(coarse_px)
         try:
             start = posed_start(pair, matrix, radius, found.evidence)
             return replace(start, prealignment=replace(start.prealignment, expected_scale=self._expected))

@@ -13,6 +13,7 @@ import numpy as np
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales
 from pcwlad_geo.matching.keypoints import Candidates
+from pcwlad_geo.matching.maps import Tones
 from pcwlad_geo.matching.matcher import (
     Core,
     displacement_by_stripes,
@@ -27,7 +28,7 @@ from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair,
 from pcwlad_geo.matching.refinement import ChannelMaps
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.view import View
+from pcwlad_geo.raster.view import Patch, View
 from pcwlad_geo.types import Float64, Index
 
 INTERPOLATED: Final = 4
@@ -96,6 +97,12 @@ class Scene:
     """ε of the phase congruency, see `maps.scene_epsilon`."""
     noise: Noise
     """Noise of the band."""
+    tones: Tones | None = None
+    """What its grey values are matched by; None where structure is."""
+
+    def image(self, patch: Patch) -> Image:
+        """Return a part of the band with these properties."""
+        return Image(patch.values, patch.valid, self.epsilon, self.noise, self.tones)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,9 +129,10 @@ class TileJob:
     """Largest distance by which a cell of candidates that begins in the core extends beyond it."""
 
     @property
-    def scene(self) -> tuple[View, View, tuple[int, int], Window, MatchSettings]:
+    def scene(self) -> Hashable:
         """What identifies the tiles of one scene and start, beside their number."""
-        return self.reference, self.target, self.target_offset_px, self.region, self.settings
+        tones = self.reference_scene.tones, self.target_scene.tones
+        return self.reference, self.target, self.target_offset_px, self.region, self.settings, tones
 
     @property
     def window(self) -> Window:
@@ -257,8 +265,8 @@ def _prepare(job: TileJob) -> PreparedPair | None:
     if not reference.valid.any() or not target.valid.any():
         return None
     return prepare(
-        Image(reference.values, reference.valid, job.reference_scene.epsilon, job.reference_scene.noise),
-        Image(target.values, target.valid, job.target_scene.epsilon, job.target_scene.noise),
+        job.reference_scene.image(reference),
+        job.target_scene.image(target),
         channels=traits.channels,
         halo_px=traits.halo_px,
         threads=job.threads,

@@ -11,7 +11,8 @@ import pytest
 
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching import pose
-from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, pose_by_grey_values, search_pose
+from pcwlad_geo.matching.maps import GREY_BLUR_PX
+from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, poses_by_grey_values, search_pose
 from tests.matching.test_global_search import cover, modality
 
 SIDE_PX = 300
@@ -154,7 +155,7 @@ def test_the_dependence_is_that_of_the_plain_equations() -> None:
     found = pose._GreyValues(first, second, 96).dependence(np.eye(3))
 
     def ranks(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
-        smooth = cv2.GaussianBlur(np.where(usable, values, 0), (0, 0), pose.GREY_BLUR_PX)
+        smooth = cv2.GaussianBlur(np.where(usable, values, 0), (0, 0), GREY_BLUR_PX)
         weight = cv2.GaussianBlur(usable.astype(np.float32), (0, 0), 50 * pose.GREY_REACH)
         mean = cv2.GaussianBlur(np.where(usable, smooth, 0), (0, 0), 50 * pose.GREY_REACH)
         local = (smooth - mean / weight)[usable]
@@ -205,17 +206,34 @@ def test_grey_values_confirm_and_move_the_pose_of_the_structure() -> None:
     by_structure = searched.found
     assert by_structure is not None
     beside = replace(by_structure, matrix=by_structure.matrix + np.array([[0, 0, 3.0], [0, 0, -2.0]]))
-    found = pose_by_grey_values(replace(searched, found=beside))
+    _, found = poses_by_grey_values(replace(searched, found=beside))
     assert found is not None
     assert found.evidence >= by_structure.evidence
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 1.5
+
+
+def test_patches_agree_on_an_affine_pose_by_their_grey_values() -> None:
+    """The tones of both are folded against each other, and most of their structure is not shared."""
+    rng = np.random.default_rng(5)
+    fields, noise = tones(5), rng.normal(0, 1.5, (2, SIDE_PX, SIDE_PX))
+    true = np.array([[1.05, -0.1, 20.0], [0.08, 0.95, -9.0], [0.0, 0.0, 1.0]])
+    folded = cv2.warpAffine((fields - 5.5) ** 2 / 3, true[:2], (SIDE_PX, SIDE_PX), borderValue=2.0)
+    images = pose_images(fields + noise[0], folded + noise[1])
+    beside = true @ [[1.06, 0.03, 9.0], [-0.02, 0.95, -8.0], [0.0, 0.0, 1.0]]
+    assert mean_distance_px(beside, true, fields.shape) > 8.0
+    patches = pose._GreyPatches(*images)
+    votes, found = patches.vote(beside)
+    assert patches.evidence(votes) > 3.0
+    assert mean_distance_px(found, true, fields.shape) < 1.5
+    other = pose._GreyPatches(*pose_images(fields + noise[0], tones(6) + noise[1]))
+    assert other.evidence(other.vote(beside)[0]) < 1.0
 
 
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_grey_values_tell_no_pose_of_another_scene(seed: int) -> None:
     other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
     searched = search_pose(REFERENCE, other, *[np.ones((300, 300), bool)] * 2)
-    assert pose_by_grey_values(searched) is None
+    assert list(poses_by_grey_values(searched)) == [None, None]
 
 
 def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:

@@ -301,6 +301,7 @@ def test_a_doubtful_pose_has_to_be_accepted_twice_and_one_of_grey_values_each_ti
     view = SimpleNamespace(grid=grid, info=SimpleNamespace(grid=grid))
     start = SimpleNamespace(pair=SimpleNamespace(reference=view, offset_px=(50.0, 0.0)), overviews=None)
     start.prealignment, start.must_stand = Prealignment("pose", (0.0, 0.0), 12), must_stand
+    start.matches_tones = False
     monkeypatch.setattr(scene, "pose_from_points", lambda points, frames: np.eye(3))
     monkeypatch.setattr(scene, "posed_start", lambda *arguments: start)
     monkeypatch.setattr(scene, "match_scene", lambda *arguments: next(upcoming))
