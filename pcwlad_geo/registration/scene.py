@@ -630,7 +630,7 @@ def match_from_best_start(
         if result.verdict.accepted:
             result = _select_ground_motion(result, start, settings, log, runner)
             if result.verdict.accepted:
-                _warn_of_georeferencing(pair, result.prealignment, log)
+                _warn_of_start(pair, result.prealignment, log)
             return result, start.pair
         if best is None or result.verdict.significance >= best[0].verdict.significance:
             best = result, start
@@ -767,7 +767,13 @@ def _select_ground_motion(
     return replace(matched, kept=kept, counts=counts)
 
 
-def _warn_of_georeferencing(pair: ViewPair, prealignment: Prealignment, log: JobLog) -> None:
+def _warn_of_start(pair: ViewPair, prealignment: Prealignment, log: JobLog) -> None:
+    if prealignment.matched_by == "grey values":
+        log.warn(
+            "the two share too little structure: what is matched are their grey values, and slopes and "
+            f"shadows may have other tones in one than in the other; tie points share an error of some "
+            f"{GREY_ERROR_PX} px per axis, which their sigmas hold"
+        )
     if prealignment.method == "search" and pair.georeferenced:
         col, row = prealignment.shift_px
         log.warn(

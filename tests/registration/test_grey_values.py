@@ -50,6 +50,7 @@ def test_grey_values_register_what_structure_does_not(tile_size: int, tmp_path: 
     found = run(*pair(tmp_path, bands(1)), Settings(tile_size=tile_size))
     assert found.status == "registered"
     assert found.prealignment.matched_by == "grey values"
+    assert any("their grey values" in text for text in found.warnings)
     error = error_px(found)
     assert len(error) > 300
     assert np.hypot(*np.median(error, axis=0)) < 0.3
