@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.matching.guidance import Scales, guide_by_field
-from pcwlad_geo.matching.maps import scene_epsilon
+from pcwlad_geo.matching.maps import Tones, scene_epsilon
 from pcwlad_geo.matching.prepare import Noise
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.options import Settings
@@ -48,6 +48,24 @@ def test_a_job_is_small(pair: ViewPair) -> None:
     job = plan(pair, 128)[0]
     assert len(pickle.dumps(job)) < 8000
     assert pickle.loads(pickle.dumps(job)) == job
+
+
+def test_maps_of_grey_values_are_not_those_of_structure(pair: ViewPair) -> None:
+    """A tile whose maps were kept by one is another tile to the other; and the job is small with both."""
+    values, everywhere = render(make_grid((80, 80))), np.ones((80, 80), bool)
+    tones = Tones.of_pair((values, -values), everywhere, 16.0)
+    assert tones is not None
+    job = plan(pair, 128)[0]
+    by_tones = replace(
+        job,
+        reference_scene=replace(job.reference_scene, tones=tones[0]),
+        target_scene=replace(job.target_scene, tones=tones[1]),
+    )
+    assert by_tones.scene != job.scene
+    pickled = pickle.dumps(by_tones)
+    assert len(pickled) < 16_000
+    assert pickle.loads(pickled) == by_tones
+    assert pickle.loads(pickled).scene == by_tones.scene
 
 
 def test_points_are_in_pixels_of_the_views(pair: ViewPair) -> None:
