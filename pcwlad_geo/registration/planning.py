@@ -301,11 +301,7 @@ def count_tiles(pair: ViewPair, settings: Settings) -> int:
 def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:
     """Return the part of the reference view of `pair` that the target view covers at `target_offset_px`."""
     col, row = target_offset_px
-    rows, cols = pair.reference.grid.shape
-    target_rows, target_cols = pair.target.grid.shape
-    top, left = max(0, -row), max(0, -col)
-    bottom, right = min(rows, target_rows - row), min(cols, target_cols - col)
-    return Window(top, left, max(0, bottom - top), max(0, right - left))
+    return Window.whole(pair.target.grid.shape).moved(-row, -col).clipped(pair.reference.grid.shape)
 
 
 def farthest_px(pair: ViewPair, target_offset_px: tuple[int, int]) -> int:

@@ -198,15 +198,9 @@ def _tones(pair: ViewPair, overviews: Overviews) -> tuple[Tones, Tones] | None:
     """Measure how the grey values of two views depend on each other as these are placed."""
     col, row = np.round(np.asarray(pair.offset_px) / overviews.factor).astype(int).tolist()
     first, second = overviews.reference, overviews.target
-    # target index = reference index + (row, col)
-    rows, cols = (
-        (max(0, -by), min(own, other - by))
-        for by, own, other in zip((row, col), first.valid.shape, second.valid.shape, strict=True)
-    )
-    if rows[0] >= rows[1] or cols[0] >= cols[1]:
-        return None
-    here = np.s_[rows[0] : rows[1], cols[0] : cols[1]]
-    there = np.s_[rows[0] + row : rows[1] + row, cols[0] + col : cols[1] + col]
+    whole, other = Window.whole(first.valid.shape), Window.whole(second.valid.shape).moved(-row, -col)
+    common = whole.intersection(other)  # px of the overview of the reference
+    here, there = common.slices_in(whole), common.slices_in(other)
     images = first.values[here], second.values[there]
     valid = first.valid[here] & second.valid[there]
     return Tones.of_pair(images, valid, max(GREY_REACH_PX / overviews.factor, MIN_GREY_REACH_PX))
