@@ -860,13 +860,13 @@ class _GreyPatches(_OverlappingPatches):
     def _surface(self, patch: tuple[slice, slice], search: Float32, norms: Float64) -> Float64:
         dependence = np.zeros(norms.shape[1:])
         known = self._usable[patch] > 0
+        others = [np.ascontiguousarray(plane) for plane in search.transpose(2, 0, 1)]
         for plane in self._planes[patch].transpose(2, 0, 1):
             # without its mean the patch needs none of the windows that it is compared with
             varying = np.where(known, plane - plane[known].mean(), 0).astype(np.float32)
             energy = max(float((varying**2).sum()), 1e-3)
-            for other, norm in zip(search.transpose(2, 0, 1), norms, strict=True):
-                product = cv2.matchTemplate(np.ascontiguousarray(other), varying, cv2.TM_CCORR)
-                dependence += product**2 * norm / energy
+            for other, norm in zip(others, norms, strict=True):
+                dependence += cv2.matchTemplate(other, varying, cv2.TM_CCORR) ** 2 * norm / energy
         return np.sqrt(dependence)
 
 

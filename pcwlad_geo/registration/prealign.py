@@ -148,8 +148,10 @@ class StartingAlignment:
 
         None where too few pixels tell how, or the method of the settings is another than the default.
         """
+        if TRAITS[settings.method].channels != "orientations":
+            return None
         tones = _tones(self.pair, self.overviews)
-        if tones is None or TRAITS[settings.method].channels != "orientations":
+        if tones is None:
             return None
         first, second = (replace(of, tones=by) for of, by in zip(self.overviews.scenes, tones, strict=True))
         prealignment = replace(self.prealignment, matched_by="grey values")

@@ -124,7 +124,7 @@ SMALLER_WINDOWS: Final = (0.56, 0.75)
 """Sides of the windows that tell the error of a given one, shares of its own."""
 NEAR_PX: Final = 0.5
 """A target that was found nearer than this to where it was assumed is not matched again, target px."""
-GREY_ERROR_PX: Final = 0.2
+SHARED_GREY_ERROR_PX: Final = 0.2
 """Error per axis that matches of grey values share, as slopes and shadows have tones of their own in each
 band: RMS of six pairs on which structure tells more, 0.06 to 0.33 px."""
 
@@ -193,7 +193,7 @@ class _FirstPass:
         A correction takes `COMMON_SIGMA` of their sigma for the error that all of them share.
         """
         by_tones = self.jobs[0].reference_scene.tones is not None
-        return (GREY_ERROR_PX / COMMON_SIGMA) ** 2 if by_tones else 0.0
+        return (SHARED_GREY_ERROR_PX / COMMON_SIGMA) ** 2 if by_tones else 0.0
 
     def without(self, found: Index) -> _FirstPass:
         """Return the pass without those lost candidates that were `found` later."""
@@ -706,7 +706,8 @@ def _match_again_in_pose(
         try:
             again = posed_start(pair, matrix, matched.prealignment.search_radius_px)
             again = (again.by_tones(settings) or again) if start.matches_tones else again
-            prealignment = replace(matched.prealignment, pose=again.prealignment.pose)
+            told = again.prealignment
+            prealignment = replace(matched.prealignment, pose=told.pose, matched_by=told.matched_by)
             found = match_scene(again.pair, again.overviews, prealignment, settings, log, runner)
         except InputError:  # points in a corner of the overlap tell no pose of the whole
             break
@@ -776,8 +777,8 @@ def _warn_of_start(pair: ViewPair, prealignment: Prealignment, log: JobLog) -> N
     if prealignment.matched_by == "grey values":
         log.warn(
             "the two share too little structure: what is matched are their grey values, and slopes and "
-            f"shadows may have other tones in one than in the other; tie points share an error of some "
-            f"{GREY_ERROR_PX} px per axis, which their sigmas hold"
+            "shadows may have other tones in one than in the other; tie points share an error of some "
+            f"{SHARED_GREY_ERROR_PX} px per axis, which their sigmas hold"
         )
     if prealignment.method == "search" and pair.georeferenced:
         col, row = prealignment.shift_px
