@@ -297,7 +297,10 @@ class PoseStarts:
         pair, factors = self._pair, self._factors
         # from array indices of the overviews to corner-based px of the views
         to_views = [np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / factor]]) for factor in factors]
-        matrix = to_views[1] @ np.vstack([found.matrix, [0.0, 0.0, 1.0]]) @ inverse(to_views[0])
+        square = np.vstack([found.matrix, [0.0, 0.0, 1.0]])
+        if found.homography is not None and pair.reference.info.grid.crs is None:  # maps show no perspective
+            square = found.homography
+        matrix = to_views[1] @ square @ inverse(to_views[0])
         matrix /= matrix[2, 2]
         if self._expected is None:
             coarse_px = factors[0] * max(1.0, found.scale) * (found.spread_px + POSE_ERROR_PX)

@@ -229,6 +229,57 @@ def test_patches_agree_on_an_affine_pose_by_their_grey_values() -> None:
     assert other.evidence(other.vote(beside)[0]) < 1.0
 
 
+def tilted(change: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the thermal image with a scale that changes across it, and the (3, 3) homography to it."""
+    _, matrix = seen(25.0, 1.0, (6.0, -9.0))
+    tilt = np.eye(3)
+    tilt[2, :2] = change / SIDE_PX * np.array([0.8, 0.6])
+    about = np.array([[1.0, 0.0, -SIDE_PX / 2], [0.0, 1.0, -SIDE_PX / 2], [0.0, 0.0, 1.0]])
+    homography = np.vstack([matrix, [0.0, 0.0, 1.0]]) @ np.linalg.inv(about) @ tilt @ about
+    from_scene = homography @ np.array([[1, 0, -150], [0, 1, -150], [0, 0, 1.0]])
+    size = (SIDE_PX, SIDE_PX)
+    whole = modality(cover(1), 20, blur_px=2.0)
+    return cv2.warpPerspective(whole, from_scene, size, flags=cv2.INTER_CUBIC), homography
+
+
+def apart_px(first: np.ndarray, second: np.ndarray) -> float:
+    """Return how far apart two homographies place a lattice of the reference on average."""
+    places = np.stack(np.meshgrid(np.linspace(0, SIDE_PX - 1, 9), np.linspace(0, SIDE_PX - 1, 9)), axis=-1)
+    there = [cv2.perspectiveTransform(places, each) for each in (first, second)]
+    return float(np.linalg.norm(there[0] - there[1], axis=-1).mean())
+
+
+def test_a_target_seen_from_the_side_is_found_in_perspective() -> None:
+    target, homography = tilted(0.12)
+    found = search(target)
+    assert found is not None
+    assert found.accepted
+    assert apart_px(np.vstack([found.matrix, [0.0, 0.0, 1.0]]), homography) > 3.0
+    assert found.homography is not None
+    assert found.homography[2, 2] == 1.0
+    assert apart_px(found.homography, homography) < 1.0
+
+
+def test_a_target_seen_from_above_shows_no_perspective() -> None:
+    found = search(seen(94.0, 0.62, (-30.0, 8.0))[0])
+    assert found is not None
+    assert found.agreeing > 20
+    assert found.homography is None
+
+
+def test_a_change_that_places_a_patch_beyond_the_horizon_has_no_support() -> None:
+    middles = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
+    off_px = pose.VOTE_TOLERANCE_PX * np.array([[0.0, 0.0], [0.0, 0.5], [1.0, 0.0], [4.0, 4.0]])
+    moved = middles + off_px
+    votes = pose._Votes(np.eye(3), np.ones(4, bool), 0.0, middles, moved, np.eye(3))
+    assert votes.support == pytest.approx(1 + 0.75 + 0 + 0)
+    _, agrees = votes._support(np.eye(3))
+    assert agrees.tolist() == [True, True, True, False]
+    beyond = np.eye(3)
+    beyond[2, 0] = -0.011
+    assert votes._support(beyond)[0] == 0.0
+
+
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_grey_values_tell_no_pose_of_another_scene(seed: int) -> None:
     other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
