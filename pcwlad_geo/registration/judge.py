@@ -350,9 +350,11 @@ def _most_frequent(moved: Float64) -> tuple[Float64, int]:
 
 
 def _are_distinct(moved: Float64, one: Motion, other: Motion) -> bool:
-    """Whether hardly any match lies halfway between two motions."""
+    """Whether two motions lie apart by what matches of one may differ, and hardly any lies halfway."""
     begin = np.asarray(other.displacement_px)
     way = np.asarray(one.displacement_px) - begin
+    if np.hypot(*way) < 2 * AGREE_PX:
+        return False
     along = (moved - begin) @ way / (way @ way)
     across = np.linalg.norm(moved - begin - along[:, None] * way, axis=1)
     halfway = (np.abs(along - 0.5) < 1 / 6) & (across < AGREE_PX)

@@ -182,6 +182,17 @@ def test_what_varies_smoothly_is_one_motion(bend: str) -> None:
     assert len(motions_of(points, kept, np.zeros(2), 81, 12)) <= 1
 
 
+@pytest.mark.parametrize(("apart_px", "motions"), [(3.5, 1), (4.5, 2)])
+def test_two_levels_of_the_ground_are_told_apart_from_4_px_on(apart_px: float, motions: int) -> None:
+    """The matches of each scatter, so that some of the one lie 4 px from the middle of the other."""
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(0, 1000, (600, 2))
+    higher = xy[:, :1] // 125 % 4 == 0
+    moved = np.where(higher, (apart_px, 0.0), (0.0, 0.0)) + rng.normal(0, 0.5, xy.shape)
+    points = TiePoints(xy, xy + moved, np.tile(np.eye(2), (600, 1, 1)), np.ones(600), np.zeros(600))
+    assert len(motions_of(points, np.ones(600, bool), np.zeros(2), 81, 12)) == motions
+
+
 def test_bands_are_of_one_product_by_their_names_and_metadata(tmp_path: Path) -> None:
     assert not of_one_product(str(tmp_path / "l8_B4.tif"), str(tmp_path / "l8_B10.tif"))
     (tmp_path / "l8_MTL.txt").touch()
