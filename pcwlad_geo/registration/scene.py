@@ -211,14 +211,7 @@ class _FirstPass:
         return replace(self, results=results)
 
 
-def match_scene(
-    pair: ViewPair,
-    overviews: Overviews,
-    prealignment: Prealignment,
-    settings: Settings,
-    log: JobLog,
-    runner: Runner,
-) -> Matched:
+def match_scene(start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner) -> Matched:
     """Match all tiles of a scene from one start, and judge what they gave.
 
     Every candidate is matched on its own (`_first_pass`), and those that agree with their neighbours are kept
@@ -226,6 +219,7 @@ def match_scene(
     lost is tried once more where that tells its place (`_second_pass`); the outcome is checked and calibrated
     (`_checked`).
     """
+    pair, overviews, prealignment = start.pair, start.overviews, start.prealignment
     offset = target_offset_px(pair, prealignment)
     matching = _match_settings(pair, offset, prealignment, settings, log)
     planned = plan(pair, overviews, offset, matching, settings)
@@ -256,8 +250,7 @@ def match_scene(
     moved: Sequence[Motion] = ()
     if other_motion and not epipolar:
         moved = patches(matches, kept, other_motion, offset_px, matching.window)
-    counts["inconsistent"] = int((~kept).sum())
-    counts["tie_points"] = int(kept.sum())
+    counts |= {"inconsistent": int((~kept).sum()), "tie_points": int(kept.sum())}
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
     )
@@ -623,14 +616,14 @@ def match_from_best_start(
         if start is None:
             continue
         tried += 1
-        prealignment = replace(start.prealignment, searched=searched, tried=tried)
+        start = replace(start, prealignment=replace(start.prealignment, searched=searched, tried=tried))
         try:
-            result = match_scene(start.pair, start.overviews, prealignment, settings, log, runner)
+            result = match_scene(start, settings, log, runner)
         except InputError:
-            if prealignment.pose is None:
+            if start.prealignment.pose is None:
                 raise
             continue  # a pose in which too little is common
-        if result.verdict.accepted and prealignment.pose is not None:
+        if result.verdict.accepted and start.prealignment.pose is not None:
             result, start = _match_again_in_pose(result, start, settings, log, runner)
         if result.verdict.accepted:
             result = _select_ground_motion(result, start, settings, log, runner)
@@ -692,30 +685,31 @@ def _match_again_in_pose(
     """Match a target again in the pose that the tie points tell, until that no longer moves.
 
     The first pose is only as good as the search: in it the windows are turned and scaled by some percent, and
-    it knows no perspective. A pose of doubtful evidence has to pass twice: all correct ones of the
+    it may know no perspective. A pose of doubtful evidence has to pass twice: all correct ones of the
     pose set do; a false one, of a wall and a path in an image beside its mirror image, passed only once. One
     that `must_stand` has to pass each time.
     """
     must_stand = start.must_stand
     for number in range(3):
-        points = matched.matches[matched.kept]
-        pair, rows_cols = start.pair, start.pair.reference.grid.shape
-        matrix = pose_from_points(points, frames=pair.reference.info.grid.crs is None)
+        points, before = matched.matches[matched.kept], matched.prealignment
+        reference = start.pair.reference
         as_it_is = np.eye(3)
-        as_it_is[:2, 2] = pair.offset_px
+        as_it_is[:2, 2] = start.pair.offset_px
         try:
-            again = posed_start(pair, matrix, matched.prealignment.search_radius_px)
+            matrix = pose_from_points(points, frames=reference.info.grid.crs is None)
+            again = posed_start(start.pair, matrix, before.search_radius_px)
             again = (again.by_tones(settings) or again) if start.matches_tones else again
             told = again.prealignment
-            prealignment = replace(matched.prealignment, pose=told.pose, matched_by=told.matched_by)
-            found = match_scene(again.pair, again.overviews, prealignment, settings, log, runner)
+            prealignment = replace(before, pose=told.pose, matched_by=told.matched_by)
+            found = match_scene(replace(again, prealignment=prealignment), settings, log, runner)
         except InputError:  # points in a corner of the overlap tell no pose of the whole
             break
         if not found.verdict.accepted:
-            doubtful = number == 0 and is_doubtful(matched.prealignment.net_evidence)
+            doubtful = number == 0 and is_doubtful(before.net_evidence)
             return (found, again) if doubtful or must_stand else (matched, start)
         matched, start = found, again
-        if not matrix[2, :2].any() and mean_distance_px(matrix, as_it_is, rows_cols) < STILL_PX:
+        moved_px = mean_distance_px(matrix, as_it_is, reference.grid.shape)
+        if not matrix[2, :2].any() and moved_px < STILL_PX:
             break
     return matched, start
 
@@ -767,7 +761,8 @@ def _select_ground_motion(
         radius_px = min(before.search_radius_px, max(2, int(np.hypot(*separation_px.T).min() / 3)))
         shift_px, evidence = best.displacement_px, best.significance
         around = replace(before, shift_px=shift_px, search_radius_px=radius_px, evidence=evidence)
-        return replace(match_scene(pair, start.overviews, around, settings, log, runner), motions=motions)
+        again = match_scene(replace(start, prealignment=around), settings, log, runner)
+        return replace(again, motions=motions)
     kept = matched.kept & ~np.any([near for _, near in motions[1:]], axis=0)
     counts = {**matched.counts, "inconsistent": int((~kept).sum()), "tie_points": int(kept.sum())}
     return replace(matched, kept=kept, counts=counts)
@@ -805,8 +800,9 @@ def match_again_from_shifted_rpc(
             break
         target = shifted(pair.target.info, shift_px)
         shifted_pair = plan_rpc_views(pair.reference.info, target)
-        start = by_georeferencing(settings.search_radius)
-        again = match_scene(shifted_pair, read_overviews(shifted_pair), start, settings, log, runner)
+        prealignment = by_georeferencing(settings.search_radius)
+        start = StartingAlignment(prealignment, shifted_pair, read_overviews(shifted_pair))
+        again = match_scene(start, settings, log, runner)
         if not again.verdict.accepted:
             break
         matched, pair = replace(again, prealignment=matched.prealignment), shifted_pair

@@ -11,12 +11,20 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching.pose import PoseProposal
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration import scene
-from pcwlad_geo.registration.prealign import Pose, Prealignment, StartingAlignment, posed_start
+from pcwlad_geo.registration import prealign, scene
+from pcwlad_geo.registration.prealign import (
+    Pose,
+    PoseStarts,
+    Prealignment,
+    StartingAlignment,
+    posed_start,
+    read_overviews,
+)
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.scene import pose_from_points
@@ -248,6 +256,25 @@ def placed(pair: ViewPair, places_px: Array) -> Array:
     return pair.target.to_file_px(pair.reference.from_file_px(places_px) + pair.offset_px)
 
 
+@pytest.mark.parametrize("located", [False, True])
+def test_a_search_gives_frames_alone_a_perspective(
+    located: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from_corners = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])
+    homography = seen_from_the_side(4.0, 20.0)
+    by_indices = from_corners @ homography @ np.linalg.inv(from_corners)
+    affine = np.array([[1.0, 0.1, 4.0], [-0.1, 1.0, 7.0]])
+    proposal = PoseProposal(affine, 1.0, 3.0, homography=by_indices)
+    monkeypatch.setattr(prealign, "search_pose", lambda *_, **__: SimpleNamespace(found=proposal))
+    pair = views(tmp_path, located=located)
+    start = PoseStarts(pair, read_overviews(pair), Settings()).by_structure()
+    assert start is not None
+    places = np.array([[100.0, 120.0], [200.0, 80.0], [40.0, 250.0]])
+    from_affine = np.linalg.inv(from_corners) @ np.vstack([affine, [0, 0, 1]]) @ from_corners
+    expected = through(from_affine if located else homography, places)
+    np.testing.assert_allclose(placed(start.pair, places), expected, atol=2e-3)
+
+
 @pytest.mark.parametrize(("tilt_deg", "tells"), [(0.0, False), (0.1, False), (4.0, True)])
 def test_points_of_frames_tell_of_a_perspective(tilt_deg: float, tells: bool) -> None:
     rng, homography = np.random.default_rng(3), seen_from_the_side(tilt_deg, 0.0)
@@ -287,26 +314,45 @@ def test_a_pose_is_told_in_words(rotation_deg: float) -> None:
 def test_a_doubtful_pose_has_to_be_accepted_twice_and_one_of_grey_values_each_time(
     monkeypatch: pytest.MonkeyPatch, evidence: float, must_stand: bool, verdicts: list[bool], accepted: bool
 ) -> None:
-    def found(verdict: bool) -> SimpleNamespace:
-        prealignment = Prealignment("pose", (0.0, 0.0), 12, searched=True, evidence=evidence)
-        return SimpleNamespace(
-            matches=np.zeros(3),
-            kept=slice(None),
-            prealignment=prealignment,
-            verdict=SimpleNamespace(accepted=verdict),
-        )
+    result, left = settle(monkeypatch, evidence, must_stand, verdicts, moved_px=50.0)
+    assert result.verdict.accepted == accepted
+    assert left == 0, "all rounds were needed"
 
-    upcoming = map(found, verdicts)
+
+@pytest.mark.parametrize(("moved_px", "rounds"), [(0.05, 1), (0.2, 3)])
+def test_a_pose_that_moves_no_more_is_settled(
+    moved_px: float, rounds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result, left = settle(monkeypatch, 5.0, False, [True] * 3, moved_px)
+    assert result.verdict.accepted
+    assert left == 3 - rounds
+
+
+def settle(
+    monkeypatch: pytest.MonkeyPatch,
+    evidence: float,
+    must_stand: bool,
+    verdicts: list[bool],
+    moved_px: float,
+) -> tuple[Any, int]:
+    """Settle a pose that was accepted, with these verdicts next; return the result, and how many are left."""
     grid = SimpleNamespace(shape=(100, 100), crs=None)
     view = SimpleNamespace(grid=grid, info=SimpleNamespace(grid=grid))
-    start = SimpleNamespace(pair=SimpleNamespace(reference=view, offset_px=(50.0, 0.0)), overviews=None)
-    start.prealignment, start.must_stand = Prealignment("pose", (0.0, 0.0), 12), must_stand
-    start.matches_tones = False
+    pair: Any = SimpleNamespace(reference=view, offset_px=(moved_px, 0.0))
+    overviews: Any = SimpleNamespace(scenes=[SimpleNamespace(tones=None)] * 2)
+    prealignment = Prealignment("pose", (0.0, 0.0), 12, searched=True, evidence=evidence)
+    start = StartingAlignment(prealignment, pair, overviews, must_stand)
+
+    def matched(verdict: bool) -> Any:
+        accepted = SimpleNamespace(accepted=verdict)
+        return SimpleNamespace(
+            matches=np.zeros(3), kept=slice(None), prealignment=prealignment, verdict=accepted
+        )
+
+    upcoming = list(map(matched, verdicts))
     monkeypatch.setattr(scene, "pose_from_points", lambda points, frames: np.eye(3))
-    monkeypatch.setattr(scene, "posed_start", lambda *arguments: start)
-    monkeypatch.setattr(scene, "match_scene", lambda *arguments: next(upcoming))
+    monkeypatch.setattr(scene, "posed_start", lambda *_: start)
+    monkeypatch.setattr(scene, "match_scene", lambda *_: upcoming.pop(0))
     nothing: Any = None
-    first: Any = found(True)
-    result, _ = scene._match_again_in_pose(first, start, nothing, nothing, nothing)
-    assert result.verdict.accepted == accepted
-    assert next(upcoming, None) is None, "all rounds were needed"
+    result, _ = scene._match_again_in_pose(matched(True), start, nothing, nothing, nothing)
+    return result, len(upcoming)
