@@ -777,9 +777,10 @@ class _Votes:
 
     def in_perspective(self) -> tuple[Float64, float]:
         """Return the (3, 3) homography grown from the affine change, and its support."""
-        best, agrees = self.matrix, self.agrees
-        support = self._support(best)[0]
+        best, agrees, support = self.matrix, self.agrees, self.support
         for _ in range(CONSENSUS_REFITS):
+            if np.count_nonzero(agrees) < MIN_PATCHES:
+                break
             middle = self.middles_px[agrees].mean(axis=0)
             about, _ = cv2.findHomography(self.middles_px[agrees] - middle, self.moved_px[agrees])
             change = self.matrix if about is None else about @ _affine(np.eye(2), -middle)

@@ -280,6 +280,14 @@ def test_a_change_that_places_a_patch_beyond_the_horizon_has_no_support() -> Non
     assert votes._support(beyond)[0] == 0.0
 
 
+def test_patches_that_do_not_agree_grow_no_homography() -> None:
+    middles = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
+    votes = pose._Votes(np.eye(3), np.zeros(4, bool), 0.0, middles, middles + 50.0, np.eye(3))
+    change, support = votes.in_perspective()
+    assert (change == np.eye(3)).all()
+    assert support == 0.0
+
+
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_grey_values_tell_no_pose_of_another_scene(seed: int) -> None:
     other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
