@@ -30,15 +30,16 @@ from .options import Options, PairOptions, Settings
 from .raster.arrays import DataArrayLike, Raster, RasterLike
 from .raster.grid import Grid
 from .raster.source import RasterInfo
-from .raster.trust import Trust
+from .raster.trust.permissions import Trust
 from .registration.fitting import Quality
 from .registration.judge import Verdict
 from .registration.prealign import Pose, Prealignment
 from .registration.result import Matches, Pair, Registration
 from .requirements import RequirementResult
 from .rigs.applying import CaptureOutcome
+from .rigs.applying_run import RigApplied, rig_apply
+from .rigs.learning_run import rig_learn
 from .rigs.rig import Rig, RigLens
-from .rigs.run import RigApplied, rig_apply, rig_learn
 from .tiepoints.table import TiePointTable
 
 __version__: str

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from rasterio.control import GroundControlPoint
 from rasterio.io import DatasetReader
 
+from pcwlad_geo.arguments import checked
 from pcwlad_geo.band_warping import WarpOptions, WarpOutput, apply, requested_output
 from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import Correction
@@ -37,7 +38,7 @@ from pcwlad_geo.raster.arrays import (
 )
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.registration import run
 from pcwlad_geo.registration.fitting import Quality
 from pcwlad_geo.registration.result import Matches, Pair, Registration
@@ -51,12 +52,13 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-OF_THE_FOLDER: Final = ("require", "keep", "pdf", "write_sigma", "write_displacement")
+OF_THE_FOLDER: Final = ("require", "keep", "pdf", "no_report", "write_sigma", "write_displacement")
 """Options about the files of `register` alone."""
 GRID_OPTIONS: Final = ("grid", "like", "tr", "te", "t_srs")
 """Options that ask for another output grid than the reference's."""
 
 
+@checked("reference", "target", "ref_mask", "tgt_mask")
 def open_pair(
     reference: RasterLike,
     target: RasterLike,
@@ -91,19 +93,19 @@ def open_pair(
     InputError
         If a raster or an option cannot be used, or the two do not overlap.
     """
-    default = Settings()
-    for name in OF_THE_FOLDER:
-        if options.get(name, getattr(default, name)) != getattr(default, name):
-            raise SettingsError(f"{name} is about the files that register writes: give it there")
     scratch = Scratch()
     masks = {"ref_mask": ref_mask, "tgt_mask": tgt_mask}
     files = {name: scratch.file_of(mask, name) for name, mask in masks.items() if mask is not None}
-    settings = Settings.from_options(options | files)
+    settings, default = Settings.from_options(options | files), Settings()
+    for name in OF_THE_FOLDER:
+        if getattr(settings, name) != getattr(default, name):
+            raise SettingsError(f"{name} is about the files that register writes: give it there")
     with trusting(settings.trust):
         uris = scratch.file_of(reference, "reference"), scratch.file_of(target, "target")
         return replace(run.open_pair(*uris, settings, on_event=on_event), scratch=scratch)
 
 
+@checked("pair")
 def match(
     pair: Pair, *, executor: Executor | Runner | None = None, on_event: EventCallback = ignore
 ) -> Matches:
@@ -145,6 +147,7 @@ def match(
         return matches
 
 
+@checked("matches", "model")
 def fit(
     matches: Matches, model: Model | None = None, *, on_event: EventCallback = ignore
 ) -> FittedCorrection:
@@ -292,6 +295,7 @@ class FittedCorrection(Shown):
     @overload
     def warp(self, src: DataArrayLike, dst: None = None, **keywords: Unpack[_WarpKeywords]) -> Any: ...  # noqa: ANN401  # xarray.DataArray
 
+    @checked("src", "resampling")
     def warp(
         self,
         src: RasterLike,

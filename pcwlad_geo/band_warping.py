@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypedDict
 
+from pcwlad_geo.arguments import checked
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
@@ -24,7 +25,7 @@ from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_gri
 from pcwlad_geo.raster.rpc.model import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import requested_ortho_grids
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration.inputs import check_placed, requested_grid
 from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration, correct_other_image
@@ -106,6 +107,7 @@ class WarpOptions(TypedDict, total=False):
     co: Sequence[str] | None
 
 
+@checked()
 def warp(
     registration: PathLike,
     rasters: Sequence[PathLike],

@@ -47,7 +47,9 @@ class JobLog:
     seconds: dict[str, float] = field(default_factory=dict)
 
     def warn(self, message: str) -> None:
-        """Record a warning for the report, and send it."""
+        """Record a warning for the report, and send it, once."""
+        if message in self.warnings:
+            return
         self.warnings.append(message)
         self.on_event(Warned(message))
 

@@ -14,23 +14,24 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, get_args
 
 from rasterio.errors import NotGeoreferencedWarning
 
+from pcwlad_geo.arguments import checked, fits, shown
 from pcwlad_geo.correction import Effort
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
-from pcwlad_geo.execution.processes import open_runner
 from pcwlad_geo.execution.runner import InThisProcess, Runner
+from pcwlad_geo.execution.workers import open_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.outputs.write import OUTPUTS, write
-from pcwlad_geo.products import products_found_once as products_found_once
-from pcwlad_geo.products import stem_of
+from pcwlad_geo.outputs.write import outputs, write
+from pcwlad_geo.products.finding import products_found_once as products_found_once
+from pcwlad_geo.products.finding import stem_of
 from pcwlad_geo.raster.arrays import file_of
+from pcwlad_geo.raster.file_tree import file_name, plain_name
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.source import file_name, plain_name
-from pcwlad_geo.raster.trust import trusting
-from pcwlad_geo.registration.inputs import band_file, check_output, estimate_tile_count, resolve
+from pcwlad_geo.raster.trust.permissions import trusting
+from pcwlad_geo.registration.inputs import band_file, check_output, resolve
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
@@ -41,12 +42,10 @@ if TYPE_CHECKING:
 
     from pcwlad_geo.correction.error_statistics import Proof
     from pcwlad_geo.options import Options
-    from pcwlad_geo.products import ProductBand
+    from pcwlad_geo.products.product import ProductBand
     from pcwlad_geo.registration.result import Registration
 
 Job = Literal["registered", "matched"]
-TASKS_MODULE: Final = "pcwlad_geo.registration.tiles"
-"""Worker processes import it before their first call."""
 
 
 class OutputPlaces(TypedDict, total=False):
@@ -72,6 +71,7 @@ class _Job:
     overwrite: bool
 
 
+@checked("reference", "target")
 @products_found_once()
 def register(
     reference: PathLike | DatasetReader,
@@ -139,6 +139,7 @@ def register(
     return _run_and_write(job, executor, on_event)
 
 
+@checked("reference", "target")
 @products_found_once()
 def match_files(
     reference: PathLike | DatasetReader,
@@ -204,6 +205,8 @@ def _job(
     options: Options,
 ) -> _Job:
     settings = Settings.from_options(options)
+    if settings.no_report and places.get("output_report") is not None:
+        raise SettingsError("output_report names a page that no_report leaves out: give one of them")
     kind: Job = "registered" if command == "register" else "matched"
     paths = output_paths(inputs[1], kind, tgt_band=settings.tgt_band, of=settings.of, **places)
     return _Job(command, inputs, settings, paths, overwrite)
@@ -225,7 +228,7 @@ def output_paths(
     ending = OutputFormat(of).extension
     paths = {
         output.kind: folder / output.name.format(name=name, stem=stem, ending=ending)
-        for output in OUTPUTS
+        for output in outputs()
         if job == "registered" or not output.when.corrected
     }
     return paths | {name.removeprefix("output_"): Path(path) for name, path in given.items() if path}
@@ -244,9 +247,7 @@ def open_job_runner(
     `scheduler` and `jobs` of the settings choose it where there is no executor; a runner is open already, and
     stays so. Warnings about it go to `on_event`. Raises `ExecutionError` if the scheduler cannot be used.
     """
-    return open_runner(
-        executor, on_event, jobs=settings.jobs, scheduler=settings.scheduler, preload=TASKS_MODULE
-    )
+    return open_runner(executor, on_event, jobs=settings.jobs, scheduler=settings.scheduler)
 
 
 def _run_and_write(
@@ -271,7 +272,8 @@ def _run_and_write(
                 for kind in job.places
             }
             bands = _band_paths(job, folder)
-            registration = found or _run(job, executor, _preloading(on_event))
+            tell = on_event if job.settings.no_report else _preloading(on_event)
+            registration = found or _run(job, executor, tell)
             # inside: slow to load, which `_preloading` may have done
             from pcwlad_geo.report.statistics import judge_requirements
 
@@ -335,8 +337,7 @@ def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback)
     settings = job.settings
     # points of a file leave workers nothing to do
     with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
-        runner.expect(estimate_tile_count(*job.inputs, settings))
-        from pcwlad_geo.registration.run import run  # slow to load; workers may be loading it too
+        from pcwlad_geo.registration.run import run  # slow to load
 
         match_only = job.command == "match"
         return run(*job.inputs, settings, on_event=on_event, runner=runner, match_only=match_only)
@@ -345,12 +346,13 @@ def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback)
 def _accepted(registration: Registration, places: Mapping[str, Path]) -> Registration:
     """Raise where the pair was rejected or a requirement is not met; return the registration otherwise."""
     out_dir = places["numbers"].parent
+    report = places["numbers" if registration.settings.no_report else "report"]
     if registration.status == "rejected":
-        message = f"{registration.reason} (report: {places['report']})"
+        message = f"{registration.reason} (report: {report})"
         raise RegistrationRejectedError(message, registration, out_dir)
     if registration.passed is False:
         missed = "; ".join(each.text for each in registration.requirements if not each.met)
-        raise RequirementError(f"{missed} (report: {places['report']})", registration, out_dir)
+        raise RequirementError(f"{missed} (report: {report})", registration, out_dir)
     return registration
 
 
@@ -361,7 +363,6 @@ def _preloading(on_event: EventCallback) -> EventCallback:
     def load() -> None:
         with suppress(Exception):  # whoever needs it will say it
             import_module("pcwlad_geo.report.page").page_template()
-            import_module("pcwlad_geo.report.figures")
 
     def tell(event: Event) -> None:
         if isinstance(event, Progress) and event.stage == "matching" and not threads:
@@ -376,6 +377,7 @@ PROOF_NAMES: Final = {"numbers": "proof.json", "report": "proof.html"}
 """File names of a proof."""
 
 
+@checked("reference", "target", "effort")
 @products_found_once()
 def prove(
     reference: PathLike | DatasetReader,
@@ -428,8 +430,8 @@ def prove(
         If the pair cannot be matched reliably; nothing is written.
     """
     inputs, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
-    if effort not in get_args(Effort):
-        raise SettingsError(f"effort = {effort!r}: give one of {', '.join(get_args(Effort))}")
+    if not fits(effort, Effort):
+        raise SettingsError(f"effort = {shown(effort)}: give one of {', '.join(get_args(Effort))}")
     place = OutputFolder(
         output_folder(inputs[1], "proof", out_dir),
         overwrite=overwrite,

@@ -1,7 +1,7 @@
 """Limits of what is read and written, so that no input makes a run need unlimited memory or time.
 
 Every limit is far beyond what real data need. An error about a limit says which one it is, what was found and
-what to do; docs/limits.md lists all limits.
+what to do; docs/development/limits.md lists all limits.
 """
 
 from __future__ import annotations
@@ -66,13 +66,21 @@ FEATURES: Final = 100_000
 ITERATIONS: Final = 1000
 """Largest number of steps of a refinement, which usually takes about ten."""
 JOBS: Final = 1024
-"""Largest number of worker processes."""
+"""Largest number of workers."""
 SIGMA_PX: Final = (1e-4, 1e4)
 """Least and largest sigma of a tie point of a file, px; 64-bit numbers cannot weigh others together."""
 POINTS: Final = 250_000
 """Largest number of tie points of a file; all are held in memory and used in each fit."""
 AREAS: Final = 100_000
-"""Largest number of areas of a vector file; all are held in memory and joined."""
+"""Largest number of areas of a vector file around a raster; all are held in memory."""
+VERTICES: Final = 2**22
+"""Largest number of their vertices; detailed coasts of a continent have a million."""
+SEGMENTS: Final = 2**18
+"""Number of parts into which edges of areas are divided at most where they are curved on the raster."""
+READING_S: Final = 60.0
+"""Longest time, in seconds, in which a vector file or a database is read; real ones take less than one."""
+READING_BYTES: Final = 3 * 2**30
+"""Largest address space of the process that reads a vector file."""
 JSON_DEPTH: Final = 50
 """Levels of objects and lists within each other in a JSON file; those of STAC have about ten."""
 JSON_DIGITS: Final = 300

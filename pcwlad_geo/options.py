@@ -10,10 +10,11 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Final, Literal, TypedDict, TypeVar, cast, get_args, get_origin, get_type_hints
 
+from pcwlad_geo.arguments import described, fits, shown
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import FEATURES, ITERATIONS, JOBS, POINTS, SEARCH_RADIUS_PX, SPACING_PX, TILE_PX
-from pcwlad_geo.matching import Consensus, Keypoints, Method
-from pcwlad_geo.raster.trust import Trust
+from pcwlad_geo.matching import AUTO_FEATURES, Consensus, Keypoints, Method
+from pcwlad_geo.raster.trust.permissions import Trust
 
 Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
@@ -83,13 +84,13 @@ def _box_in(place: str) -> Check:
 
 _BAND: Final[Check] = (
     lambda value: (
-        (_is_whole(value) and value >= 1)
+        (_is_whole(value) and 1 <= value < 100_000)
         or (isinstance(value, str) and not value.isdecimal() and bool(BANDS.match(value)))
     ),
     "a whole number from 1, or the name of a product's band; several such as 2,3,5-9; pca or pca:2,3,4",
 )
 _DATUM: Final[Check] = (
-    lambda value: not isinstance(value, Real) or (value <= 500.0 and not value < -500.0),
+    lambda value: isinstance(value, str | Path) or (fits(value, float) and -500.0 <= value <= 500.0),
     "metres from -500 to 500, or a file",
 )
 _SSIM: Final[Check] = (
@@ -146,7 +147,7 @@ class Settings:
 
     ref_band: int | str = option(
         1,
-        "Band of the reference, of a product its name; several: the mean of their structure.",
+        "Band of the reference to match, or its name in a product; several: their mean; pca: all of them.",
         _PAIR,
         metavar="N,…|NAME,…|pca",
         check=_BAND,
@@ -154,25 +155,25 @@ class Settings:
     """Band that is matched; 2,3,5-9 (B2,B3,B4 of a product): the mean of these, scaled to equal contrast;
     pca: the first principal component of all bands of the file, pca:2,3,5-9 of these."""
     tgt_band: int | str = option(
-        1, "Band of the target, or several, alike.", _PAIR, metavar="N,…|NAME,…|pca", check=_BAND
+        1, "Band of the target to match, as for the reference.", _PAIR, metavar="N,…|NAME,…|pca", check=_BAND
     )
     ref_mask: Path | str | None = option(
         None, "Mask of the reference: 0 = excluded, or QA_PIXEL, BQA, SCL …", _PAIR, metavar="FILE"
     )
     tgt_mask: Path | str | None = option(None, "Mask of the target.", _PAIR, metavar="FILE")
     aoi: Path | str | None = option(
-        None, "Match within the polygons of this vector file only.", _MATCHING, metavar="FILE"
+        None, "Match only within the polygons of this vector file.", _MATCHING, metavar="FILE"
     )
     exclude: Path | str | None = option(
-        None, "Match nothing within the polygons of this vector file.", _MATCHING, metavar="FILE"
+        None, "Do not match within the polygons of this vector file.", _MATCHING, metavar="FILE"
     )
     tie_points: Path | str | None = option(
-        None, "Fit the tie points of this file, match nothing.", _REGISTER, metavar="FILE"
+        None, "Fit the tie points of this file instead of matching.", _REGISTER, metavar="FILE"
     )
     """File of tie points to fit instead of matching: tiepoints.csv, .points, .pts, raster with GCPs."""
     extent: tuple[float, float, float, float] | None = option(
         None,
-        "Read, match and write this part of the ground only, in the reference's CRS.",
+        "Read, match and write only this part of the ground, in the reference's CRS.",
         _PAIR,
         metavar="XMIN YMIN XMAX YMAX",
         check=_box_in("the reference's"),
@@ -184,20 +185,20 @@ class Settings:
     )
     dem_vertical: float | Path | str | None = option(
         None,
-        "What is added to the DEM's heights to count from the ellipsoid (0: they do), where its CRS"
-        " does not tell: metres, or a geoid grid.",
+        "Metres, or a geoid grid, to add to the DEM's heights to get heights above the ellipsoid (0: they are"
+        " such), if its CRS does not say it.",
         _PLACED,
         metavar="METRES|GRID",
         check=_DATUM,
     )
     """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid), or a file of them;
     None = the DEM's CRS tells."""
-    trust_rpc: bool = option(False, "Use RPCs as they are, wherever they put an image.", _PLACED)
+    trust_rpc: bool = option(False, "Use RPCs although they put an image in an implausible place.", _PLACED)
     method: Method = option("oriented", "Fine matching method.", _MATCHING)
     points: int | Literal["all", "dense"] | None = option(
         None,
-        "Most tie points to keep, spread evenly; auto: about 1000 of a scene, all of a small image; "
-        "dense: one a quarter of a window, where there is structure.",
+        "Tie points to keep at most, spread evenly; auto: about 1000 of a scene, of a small image as many as "
+        "its ground tells; dense: one in every square of a quarter of a window that has structure.",
         _MATCHING,
         metavar="N|all|dense|auto",
         none_word="auto",
@@ -206,14 +207,24 @@ class Settings:
     )
     """Most tie points to keep, spread evenly; None = about 1000 of a scene of several tiles, else all;
     dense = all, of one candidate for every square of a quarter of the window."""
-    features: int = option(1000, "Candidates a tile.", _MATCHING, metavar="N", least=1, most=FEATURES)
+    features: int | None = option(
+        None,
+        "Candidates per tile; auto: 1000, or fewer of a small image where the first ones agree.",
+        _MATCHING,
+        metavar="N|auto",
+        none_word="auto",
+        least=1,
+        most=FEATURES,
+    )
+    """Candidates a tile; None = auto: as many as the ground of a small image can tell, and up to 1000 where
+    the first of them do not agree."""
     keypoints: Keypoints = option("cells", "Spread the candidates by cell, or take the strongest.", _MATCHING)
     template: int = option(
         101, "Side of the coarse window, odd, px.", _MATCHING, metavar="PX", least=21, most=513, odd=True
     )
     window: int | None = option(
         None,
-        "Side of the refinement window, odd, px; auto: 61, 81 or 129, as the data say.",
+        "Side of the matching window, odd, px; auto: the best one or two from 61 to 181 for this pair.",
         _MATCHING,
         metavar="PX|auto",
         none_word="auto",
@@ -221,11 +232,11 @@ class Settings:
         most=513,
         odd=True,
     )
-    """Side of the refinement window, odd, matching-grid px; None = auto: 81 first, then 61, 81 or 129, by how
-    the displacements of some points differ among the three."""
+    """Side of the matching window, odd, matching-grid px; None = auto: 81 first, then the one or two of 61,
+    81, 129 and 181 that leave the least error, as the differences between them show."""
     search_radius: int | None = option(
         None,
-        "Largest displacement looked for, matching-grid px.",
+        "Largest displacement per axis, px of the coarser image.",
         _MATCHING,
         metavar="PX|auto",
         none_word="auto",
@@ -238,12 +249,12 @@ class Settings:
         20, "Most refinement iterations.", _MATCHING, metavar="N", least=1, most=ITERATIONS
     )
     consensus: Consensus = option(
-        "auto", "Second pass guided by the neighbours, in smooth fields.", _MATCHING
+        "auto", "Second pass that uses the neighbours, where the displacement is smooth.", _MATCHING
     )
     prealign: Prealign = option("auto", "Rough alignment before matching.", _MATCHING)
     start_matcher: str | None = option(
         None,
-        "A matcher of your own that proposes a start, such as a learned one.",
+        "Your own matcher, such as a learned one, that proposes a start.",
         _PAIR,
         metavar="MODULE:FUNCTION",
         check=_FUNCTION,
@@ -251,7 +262,9 @@ class Settings:
     """Function that finds corresponding positions in two images, ``package.module:function`` (see
     `registration.prealign`); tried before the pose search. Its module is imported, that is, run."""
     geometry: Geometry = option(
-        "auto", "What right matches have in common: a smooth displacement, or a viewpoint.", _PAIR
+        "auto",
+        "How wrong matches are recognised: by a smooth displacement, or by epipolar lines (parallax).",
+        _PAIR,
     )
     """What right matches have in common: a smooth displacement (planar), or lines of the other viewpoint on
     which every depth lies (epipolar: frames with parallax); auto: planar, epipolar for frames without CRS
@@ -270,7 +283,7 @@ class Settings:
     grid, or the target's own."""
     like: Path | str | None = option(
         None,
-        "Write exactly the CRS, geotransform and size of this raster.",
+        "Write onto exactly the CRS, geotransform and size of this raster.",
         (*_WARPING, "stack"),
         metavar="FILE",
     )
@@ -300,7 +313,7 @@ class Settings:
     )
     co: tuple[str, ...] = option(
         (),
-        "Creation option of that format; may be given again.",
+        "Creation option of that format; repeatable.",
         (*_WARPING, "stack"),
         metavar="KEY=VALUE",
         check=(_are_creation_options, "creation options as KEY=VALUE"),
@@ -332,11 +345,17 @@ class Settings:
     """Move the target by known amounts and match it again, as `pcwlad_geo.prove` does; takes two to
     three times as long as the matching."""
     calibrate_sigma: bool = option(
-        False, "With --prove: make the sigmas hold for the errors seen.", ("register", "match", "stack")
+        False,
+        "With --prove: scale the sigmas to agree with the measured errors.",
+        ("register", "match", "stack"),
     )
     """Multiply the sigmas of the tie points by what the proof tells that they lack, or have too much where
     the pair scatters by no more than it shows."""
     pdf: bool = option(False, "Write the report as PDF too; needs pip install 'pcwlad-geo[pdf]'.", _REPORTING)
+    no_report: bool = option(
+        False, "Write neither the report page of a pair nor its GeoPackage; saves time.", _TABLES_TOO
+    )
+    """Write neither the report page of a pair, with its figures, nor its GeoPackage. All other files stay."""
     require: str | Sequence[str] = option(
         (),
         "Requirement, such as 'CE90<=0.5px' or 'points>=100'; exit status 4 where it is not met; repeatable.",
@@ -350,7 +369,7 @@ class Settings:
         False, "Read rasters over a network: URLs, /vsicurl/, /vsis3/ and the like.", _EVERYWHERE
     )
     trust_vrt: bool = option(
-        False, "Let rasters name files anywhere: VRTs of your own, HDF5, formats with labels.", _EVERYWHERE
+        False, "Let rasters refer to files anywhere: your own VRTs, HDF5, formats with labels.", _EVERYWHERE
     )
     """Rasters may make GDAL open whatever they name, wherever it is (docs/security.md)."""
     tile_size: int = option(
@@ -363,7 +382,7 @@ class Settings:
     )
     jobs: int | None = option(
         None,
-        "Processes, at most; all: one a core.",
+        "Workers, at most; all: one a core.",
         _RUNNERS,
         metavar="N|all",
         none_word="all",
@@ -380,6 +399,11 @@ class Settings:
             _check(name, getattr(self, name))
         object.__setattr__(self, "require", _texts("require", self.require))
         _check_together(self)
+
+    @property
+    def candidates(self) -> int:
+        """Number of candidates a tile where all are matched."""
+        return AUTO_FEATURES if self.features is None else self.features
 
     @property
     def trust(self) -> Trust:
@@ -416,18 +440,20 @@ def _check(name: str, value: object) -> None:
     elif hint is bool:
         good, wanted = isinstance(value, bool), "true or false"
     elif get_origin(hint) is Literal:
-        good, wanted = value in get_args(hint), "one of " + ", ".join(get_args(hint))
+        good, wanted = fits(value, hint), "one of " + ", ".join(get_args(hint))
     else:
-        allows, wanted = option.check or (lambda _: True, "")
+        allows, wanted = option.check or (lambda _: fits(value, hint), described(hint))
         good = (value is None and type(None) in get_args(hint)) or allows(value)
     if not good:
-        raise SettingsError(f"{name} = {value!r}: give {wanted}")
+        raise SettingsError(f"{name} = {shown(value)}: give {wanted}")
 
 
 def _check_together(settings: Settings) -> None:
     """Raise `SettingsError` if options contradict each other."""
     if settings.calibrate_sigma and settings.prove == "off":
         raise SettingsError("calibrate_sigma takes its factor from a proof: give --prove quick or full too")
+    if settings.no_report and settings.pdf:
+        raise SettingsError("pdf and no_report contradict each other: the PDF is made from the page")
     if settings.dem_vertical is not None and settings.dem is None:
         raise SettingsError(f"dem_vertical = {settings.dem_vertical!r} without a DEM: give --dem too")
     for name in ("tr", "te", "t_srs"):
@@ -465,7 +491,7 @@ def _number_allowed(value: object, option: Option) -> tuple[bool, str]:
     """Return whether a value is a whole number, or the word or None in its place, and what it must be."""
     least, most = option.least or 1, option.most or 1
     words = _words(option)
-    instead = value in words or (value is None and option.none_word is not None)
+    instead = (isinstance(value, str) and value in words) or (value is None and option.none_word is not None)
     good = _is_whole(value) and least <= cast(int, value) <= most and (cast(int, value) % 2 or not option.odd)
     kind = "an odd number" if option.odd else "a whole number"
     return bool(instead or good), " or ".join([f"{kind} from {least} to {most}", *words])
@@ -489,7 +515,7 @@ class PairOptions(TypedDict, total=False):
     trust_rpc: bool
     method: Method
     points: int | Literal["all", "dense"] | None
-    features: int
+    features: int | None
     keypoints: Keypoints
     template: int
     window: int | None
@@ -517,6 +543,7 @@ class PairOptions(TypedDict, total=False):
     prove: Literal["off", "quick", "full"]
     calibrate_sigma: bool
     pdf: bool
+    no_report: bool
     require: str | Sequence[str]
     keep: bool
     tile_size: int

@@ -126,6 +126,8 @@ class RequirementResult:
     """The figure, in the unit of the requirement; None if it is not known."""
     reason: str | None = None
     """Why the figure is not known."""
+    caveat: str | None = None
+    """Why meeting it says little about the ground; None where nothing contradicts it."""
 
     @property
     def met(self) -> bool:
@@ -137,7 +139,20 @@ class RequirementResult:
         """The requirement, whether it is met, and the figure, as text."""
         value = f"{self.value:g}" if isinstance(self.value, float) else self.value
         found = self.reason or " ".join(str(word) for word in (value, self.requirement.unit) if word)
+        if (
+            self.requirement.unit
+            and self.reason is None
+            and _QUANTITIES[self.requirement.statistic.casefold()].kind == "error"
+        ):
+            found += f" at the {self.requirement.group or 'check'} points"
+        found += f"; {self.caveat}" if self.caveat else ""
         return f"{self.requirement.text}: {'met' if self.met else 'not met'} ({found})"
+
+
+def tells_accuracy(requirement: Requirement) -> bool:
+    """Return whether a requirement limits errors or sigmas, which hold where the tie points are."""
+    quantity = _QUANTITIES[requirement.statistic.casefold()]
+    return quantity.kind == "error" or quantity.name == "sigma"
 
 
 _QUANTITIES: Final = {each.name.casefold(): each for each in QUANTITIES}

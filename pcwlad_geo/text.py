@@ -111,6 +111,36 @@ def read_json(path: Path) -> Any:  # noqa: ANN401  # of any structure
     return parse_json(read_text(path))
 
 
+def mismatch(value: object, kind: type) -> str | None:
+    """Return what in a JSON value is not of the type whose values were written so; None if all is.
+
+    The published schemas are made of the same types. Keys may be missing, as a later version may add some.
+    """
+    from pydantic import ValidationError  # slow to load, and for what is read back only
+
+    try:
+        text = json.dumps(value, ensure_ascii=False).encode("utf-8", "replace")  # names may be no text
+        _adapter(kind).validate_json(text, strict=True)
+    except ValidationError as error:
+        for wrong in error.errors(include_url=False, include_input=False, include_context=False):
+            if wrong["type"] != "missing" or isinstance(wrong["loc"][-1], int):
+                return f"{'.'.join(map(str, wrong['loc']))}: {wrong['msg']}"
+    return None
+
+
+@lru_cache(maxsize=16)
+def _adapter(kind: type) -> Any:  # noqa: ANN401
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
+
+
+def whole(text: str, digits: int = 9) -> int | None:
+    """Return the whole number that a text is; None if it is not of digits alone, or of more than `digits`."""
+    text = text.strip()
+    return int(text) if text.isdecimal() and len(text) <= digits else None
+
+
 def csv_of(rows: Sequence[Mapping[str, object]]) -> str:
     """Return the CSV text of one or more `rows`, their names as header; True and False are yes and no."""
     text = io.StringIO()
@@ -256,3 +286,9 @@ def html_table(title: str, facts: Mapping[str, str]) -> str:
 
 def _escaped(text: str) -> str:
     return html.escape(one_line(text))
+
+
+def write_lines(path: Path, lines: list[str]) -> None:
+    """Write lines of text as UTF-8, with the line ends of Unix."""
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("\n".join(lines) + "\n")

@@ -21,7 +21,7 @@ settings.load_profile("without a clock")
 # Here, before numpy loads: several threads on small matrices take several times as long as one.
 for _pool in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_pool}_NUM_THREADS", "1")
-# Tests start commands whose HOME is empty: each would search for fonts anew.
+# Tests start scripts of the gallery whose HOME is empty: each would search for fonts anew.
 if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["MPLCONFIGDIR"] = tempfile.mkdtemp(prefix="pcwlad-geo-tests-")
     atexit.register(shutil.rmtree, os.environ["MPLCONFIGDIR"], ignore_errors=True)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-BLANK = b"no picture"
+BLANK = "no picture"
 
 
 @contextmanager
@@ -18,7 +18,7 @@ def no_pictures() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         for name in dir(figures):
-            if name.endswith("_figure") and name not in ("new_figure", "frame_figure"):
+            if name.endswith("_figure"):
                 patch.setattr(figures, name, lambda *_, **__: BLANK)
         patch.setattr(figures, "motion_figure", lambda *_, **__: (BLANK, (0.0, 0.0, 1.0, 1.0)))
         for module in (page, pages):

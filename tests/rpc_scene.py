@@ -15,9 +15,9 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.rpc import RPC
 
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.rpc.dem import WGS84, Dem, Undulation
+from pcwlad_geo.raster.rpc.dem import Dem, Undulation
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import TERMS, RpcModel, polynomial_terms, to_gdal
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, PIXEL_M, make_grid, render, write

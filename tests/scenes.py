@@ -7,8 +7,10 @@ raster is the ground evaluated where the displacement says.
 
 from __future__ import annotations
 
+import struct
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -175,3 +177,60 @@ def tag_frame(path: Path, **exif: str) -> Path:
         with rasterio.open(path, "r+") as file:
             file.update_tags(ns="EXIF", **{f"EXIF_{name}": value for name, value in exif.items()})
     return path
+
+
+_EXIF_TAGS = {
+    "GPSLatitudeRef": (0x8825, 1), "GPSLatitude": (0x8825, 2), "GPSLongitudeRef": (0x8825, 3),
+    "GPSLongitude": (0x8825, 4), "GPSAltitudeRef": (0x8825, 5), "GPSAltitude": (0x8825, 6),
+    "FocalLength": (0x8769, 0x920A), "PixelXDimension": (0x8769, 0xA002),
+    "FocalPlaneXResolution": (0x8769, 0xA20E), "FocalPlaneResolutionUnit": (0x8769, 0xA210),
+    "FocalLengthIn35mmFilm": (0x8769, 0xA405),
+}  # fmt: skip
+"""Of each tag that a JPEG can be given: the IFD that holds it, and its number (CIPA DC-008)."""
+
+
+def tag_jpeg(path: Path, xmp: str = "", **exif: str | int | Sequence[float]) -> Path:
+    """Give a JPEG the segments that a camera writes: EXIF tags, such as FocalLength=[8.5], and an XMP packet.
+
+    Text is stored as ASCII, whole numbers as SHORT, and sequences as RATIONAL numbers.
+    """
+    segments = [b"Exif\0\0" + _exif_block(exif)] if exif else []
+    segments += [b"http://ns.adobe.com/xap/1.0/\0" + xmp.encode()] if xmp else []
+    whole = path.read_bytes()
+    framed = [b"\xff\xe1" + struct.pack(">H", len(content) + 2) + content for content in segments]
+    path.write_bytes(whole[:2] + b"".join(framed) + whole[2:])
+    return path
+
+
+def _exif_block(exif: Mapping[str, str | int | Sequence[float]]) -> bytes:
+    """Return a little-endian TIFF header with the IFDs of EXIF and GPS, and the values after each."""
+    pointers = sorted({_EXIF_TAGS[name][0] for name in exif})
+    block = b"II*\0" + struct.pack("<IH", 8, len(pointers))
+    begin, below = 8 + 2 + 12 * len(pointers) + 4, b""
+    for pointer in pointers:
+        block += struct.pack("<HHII", pointer, 4, 1, begin + len(below))
+        entries = sorted(
+            (_EXIF_TAGS[name][1], value) for name, value in exif.items() if _EXIF_TAGS[name][0] == pointer
+        )
+        below += _ifd(entries, begin + len(below))
+    return block + bytes(4) + below
+
+
+def _ifd(entries: Sequence[tuple[int, str | int | Sequence[float]]], begin: int) -> bytes:
+    ifd, values = struct.pack("<H", len(entries)), b""
+    for tag, value in entries:
+        if isinstance(value, str):
+            kind, content = 2, value.encode() + b"\0"
+            count = len(content)
+        elif isinstance(value, int):
+            kind, content, count = 3, struct.pack("<H", value), 1
+        else:
+            fractions = [Fraction(number).limit_denominator(10**6) for number in value]
+            content = b"".join(struct.pack("<II", each.numerator, each.denominator) for each in fractions)
+            kind, count = 5, len(fractions)
+        if len(content) > 4:
+            where = begin + 2 + 12 * len(entries) + 4 + len(values)
+            values += content
+            content = struct.pack("<I", where)
+        ifd += struct.pack("<HHI", tag, kind, count) + content.ljust(4, b"\0")
+    return ifd + bytes(4) + values

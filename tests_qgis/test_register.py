@@ -103,7 +103,7 @@ def test_the_layer_comes_styled(finished: Finished) -> None:
     assert set(labels) - {"rejected"} == {"fit", "check", "unused"}
     status, factor = labels["check"].split(" × ")
     assert status == "check: residual"
-    assert float(factor) in (100, 200)
+    assert float(factor) in (200, 500)
     for category in renderer.categories():
         if category.value() == "rejected":
             continue  # of no residual
@@ -309,7 +309,7 @@ def test_cancelling_ends_the_engine_and_its_workers_and_leaves_nothing(
 
     def cancel_when_matching(text: str) -> None:
         if text == "Matching" and not seen:
-            seen.append(count_until(mark, 3))
+            seen.append(count_until(mark, 2))
             feedback.cancel()
 
     feedback.setProgressText = cancel_when_matching
@@ -327,6 +327,6 @@ def test_cancelling_ends_the_engine_and_its_workers_and_leaves_nothing(
         feedback,
     )
     assert run.results == {}
-    assert seen[0] >= 3  # the engine and its workers
+    assert seen[0] >= 2  # the engine and the process that does its work
     assert [number for number in processes(mark) if number != os.getpid()] == []
     assert list(out.iterdir()) == []

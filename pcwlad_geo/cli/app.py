@@ -105,7 +105,7 @@ def match(
     output_report: o.OutputReport = None,
     output_points: o.OutputPoints = None,
 ) -> None:
-    """Find the tie points of a pair, and stop there: a report, no correction."""
+    """Find the tie points of a pair: a report, no correction."""
     run_job("match", context.params)
 
 

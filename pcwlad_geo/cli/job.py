@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import typer
 
+from pcwlad_geo.child import how_it_was_lost
+from pcwlad_geo.cli.guard import SIGNALS, watched
 from pcwlad_geo.cli.options import collect
 from pcwlad_geo.cli.progress import Reporter, reporter
 from pcwlad_geo.errors import (
@@ -79,12 +81,24 @@ def run_guarded(
     """Run the work of a command: report its events and its end, and allow cancellation.
 
     Raises `typer.Exit` with the exit status, unless it is 0. If the work cannot remove partly written files
-    itself, `abandon` does.
+    itself, `abandon` does. Where there can be another process for the work, this one waits for that.
     """
+    ended = watched()
     with reporter(params["progress"], debug=params["debug"]) as report:
-        status = _attempt(params, report, work, abandon)
+        if ended is None:
+            status = _attempt(params, report, work, abandon)
+        else:
+            status = ended if ended >= 0 else _lost(ended, report)
     if status:
         raise typer.Exit(status)
+
+
+def _lost(ended: int, report: Reporter) -> int:
+    """Report that a signal has ended the work; the next run removes what that has written in part."""
+    if -ended in SIGNALS:  # before the work could heed it
+        report.cancelled()
+        return INTERRUPTED
+    return _report_error(ExecutionError(f"the work was lost: {how_it_was_lost(ended)}"), report)
 
 
 def show_traceback(error: BaseException) -> None:
@@ -272,6 +286,8 @@ FIGURES = (
 )
 """Entries of report.json that the result event repeats."""
 
+SCALED: Final = 1.05
+"""Scale of the target from which its pose is printed instead of a displacement."""
 HEADER: Final = ("", "n", "mean col, row", "std col, row", "LE90 col, row", "RMSE", "CE90", "net", "CE90 m")
 """Header of the table of statistics."""
 ROWS: Final = (
@@ -316,7 +332,14 @@ class Outcome:
         counts, displacement = self.summary["tie_points"], self.summary["displacement_px"]
         kept = counts["total"] - counts["rejected"]
         lines = [f"{self.summary['status']}: {kept} tie points ({counts['rejected']} rejected)"]
-        if displacement:
+        pose = (self.summary.get("prealignment") or {}).get("pose")
+        scales = [abs(side) for side in pose["scale"]] if pose else [1.0]
+        if displacement and pose and (max(scales) > SCALED or min(scales) < 1 / SCALED):
+            across, down = scales  # a displacement of px of another size says nothing
+            lines.append(
+                f"found at scale {across:.3f} x {down:.3f}, rotation {pose['rotation_deg']:.1f} degrees"
+            )
+        elif displacement:
             col, row = displacement["median"]
             lines.append(f"median displacement: {col:+.3f} px in column, {row:+.3f} px in row")
         lines += self._accuracy()
@@ -354,7 +377,9 @@ class Outcome:
         if not lines:
             return []
         if self.summary["passed"]:
-            return [*lines, "PASSED"]
+            doubtful = any(each.get("caveat") for each in self.summary["requirements"])
+            where = f" at the tie points of a {self.summary['quality']['grade']} registration"
+            return [*lines, "PASSED" + where if doubtful else "PASSED"]
         withheld = self.summary["status"] == "registered" and "raster" not in self.paths
         return [*lines, "FAILED: no corrected raster is written without --keep" if withheld else "FAILED"]
 
@@ -398,8 +423,6 @@ WATCHER = "pcwlad-geo-interrupt"
 """Name of the threads that wait for an interrupt."""
 INTERRUPTED = 130
 """Exit status of an interrupted run."""
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""Signals that interrupt a run."""
 
 
 @contextmanager

@@ -99,7 +99,7 @@ BandOption = Annotated[
     str,
     o.option(
         "--band",
-        help="Band that is matched: a number, or a product's name.",
+        help="Band to match: a number, or its name in a product.",
         show_default=True,
         metavar="BAND",
     ),
@@ -108,7 +108,7 @@ ReferenceName = Annotated[
     str | None,
     o.option(
         "--reference",
-        help="Image whose grid all get; of images with RPCs, what fixes them.  [default: the first]",
+        help="Image whose grid all get; with RPCs, what ties them to the ground.  [default: the first]",
         metavar="NAME|FILE",
     ),
 ]
@@ -143,11 +143,9 @@ Gcps = Annotated[
     ),
 ]
 AllowComponents = Annotated[
-    bool, o.option("--allow-components", help="Give groups of images that no pair connects a datum each.")
+    bool, o.option("--allow-components", help="Give each group of unconnected images its own datum.")
 ]
-MaxPairs = Annotated[
-    int | None, o.option("--max-pairs", help="Most pairs that are matched.", metavar="N", min=1)
-]
+MaxPairs = Annotated[int | None, o.option("--max-pairs", help="Pairs to match at most.", metavar="N", min=1)]
 
 
 @o.takes_settings("stack")
@@ -164,7 +162,7 @@ def stack(
     gcps: Gcps = None,
     allow_components: AllowComponents = False,
 ) -> None:
-    """Bring many images of one ground into one frame, all together; pairs matched before are kept."""
+    """Adjust many images of one ground together, into one frame; pairs matched before are kept."""
     params = context.params
     folder = images[0] if add else out_dir
     run_guarded(params, lambda on_event: _stack(params, on_event), lambda: _abandon_stack(folder))
@@ -221,8 +219,8 @@ def _abandon_stack(out_dir: str | Path | None) -> None:
 
 
 def _ending(found: Stack) -> Ending:
+    from pcwlad_geo.multi.stack_numbers import NUMBERS, PAGE, TABLE  # slow to load, unless there is a result
     from pcwlad_geo.multi.stack_pairs import PairStatus
-    from pcwlad_geo.multi.stack_result import NUMBERS, PAGE, TABLE  # slow to load, unless there is a result
 
     counts = {status: sum(pair.status == status for pair in found.pairs) for status in get_args(PairStatus)}
     status = InputError.exit_status if found.unreadable else 0
@@ -273,7 +271,7 @@ AddFirst = Annotated[
     o.option("--add", help="Add this image to the stack first; repeatable.", metavar="IMAGE"),
 ]
 Apply = Annotated[
-    bool, o.option("--apply", help="Write those images on the grid of the stack that it has not written.")
+    bool, o.option("--apply", help="Write the images that the stack has not written, on its grid.")
 ]
 WatchRequire = Annotated[
     list[str] | None,
@@ -296,7 +294,7 @@ def watch(
     apply: Apply = False,
     require: WatchRequire = None,
 ) -> None:
-    """Tell what the images of a finished stack do over time: steps, drifts, motion of the ground."""
+    """Find steps, drifts and moving ground in a finished stack."""
     params = context.params
     run_guarded(params, lambda on_event: _watch(params, on_event), lambda: _abandon_watch(params))
 

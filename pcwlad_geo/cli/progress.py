@@ -45,8 +45,8 @@ def protocol_stream() -> Iterator[TextIO]:
 def own_standard_error() -> TextIO:
     """Reserve standard error for the command's own lines, and redirect file descriptor 2 to the null device.
 
-    Libraries write there in many ways: log lines and warnings of Python (matplotlib on its font cache), C
-    libraries (fontconfig), programs that they start (fc-list). Important messages arrive as exceptions.
+    Libraries write there in many ways: log lines and warnings of Python, C libraries (GDAL, fontconfig),
+    programs that they start. Important messages arrive as exceptions.
     Processes started afterwards are silent too. The redirection remains to the end of the process, because a
     thread that loads a library may outlive the run. Return the real standard error; or the unchanged
     ``sys.stderr`` if that is not file descriptor 2, because it is closed or was replaced by a program that

@@ -145,7 +145,7 @@ TrendOption = Annotated[
     Path | None,
     o.option(
         "--trend",
-        help="Instead: a page of how the figures of all reports below DIR went over time.",
+        help="Instead of measuring: plot the figures of all reports below DIR over time.",
         metavar="DIR",
     ),
 ]

@@ -19,8 +19,8 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
+    from pcwlad_geo.rigs.applying_run import RigApplied
     from pcwlad_geo.rigs.rig import Rig
-    from pcwlad_geo.rigs.run import RigApplied
 
 rig = typer.Typer(
     help="Bring the lenses of a camera onto each other: learn the rig, apply it to captures.",
@@ -79,7 +79,7 @@ def apply(
     out_dir: o.OutDir = None,
     pattern: Pattern = None,
 ) -> None:
-    """Bring the lenses of all CAPTURES onto each other: one raster each; bad captures are named."""
+    """Write one raster per capture, its bands on each other; bad CAPTURES are named."""
     run_guarded(context.params, lambda on_event: _apply(context.params, on_event), lambda: None)
 
 
@@ -91,7 +91,7 @@ def _running(params: Mapping[str, Any]) -> dict[str, Any]:
 
 def _learn(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     running = _running(params)
-    from pcwlad_geo.rigs.run import rig_learn
+    from pcwlad_geo.rigs.learning_run import rig_learn
 
     out = params["out"] or Path("RIG.json")
     if out.is_dir():
@@ -141,7 +141,7 @@ def _learned(found: Rig, out: Path) -> Ending:
 
 def _apply(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     running = _running(params)
-    from pcwlad_geo.rigs.run import rig_apply
+    from pcwlad_geo.rigs.applying_run import rig_apply
 
     found = rig_apply(
         params["rig_file"],
@@ -162,10 +162,7 @@ def _applied(found: RigApplied) -> Ending:
     status = next((STATUS_OF[each] for each in STATUS_OF if counts.get(each)), 0)
     grades = {grade: found.count(grade) for grade in reversed(GRADES)}
     bad = [each for each in found.captures if each.status != "corrected"]
-    lines = [
-        f"{each.name}: {each.quality or each.status}: {each.reason}" for each in found.captures if each.reason
-    ]
-    lines.append(", ".join(f"{count} {each}" for each, count in (counts | grades).items() if count))
+    lines = [", ".join(f"{count} {each}" for each, count in (counts | grades).items() if count)]
     lines.append(f"summary: {found.summary.absolute()}")
     figures: dict[str, object] = {
         **counts,

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, checked
+from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, Trend, centre_and_radius, checked
 from pcwlad_geo.correction.jitter import fit_jitter
 from pcwlad_geo.correction.models import (
     AffineCorrection,
@@ -38,21 +38,26 @@ MIN_PROJECTIVE_POINTS = 6
 
 
 def fit_projective(
-    predicted_px: Float64, observed_px: Float64, covariance_px2: Float64, *, footprint_px: float = 0.0
+    predicted_px: Float64,
+    observed_px: Float64,
+    covariance_px2: Float64,
+    *,
+    footprint_px: float = 0.0,
+    trend: Trend | None = None,
 ) -> ParametricFit:
     """Fit a projective transformation, that of a plane seen from another viewpoint.
 
     Raises `InputError` if the points are too few or do not determine the transformation, or an array has a
     wrong shape or values that are not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2)
-    `covariance_px2` are those of `fit_polynomial`, as is `footprint_px`; n ≥ 6, spread in both directions.
+    `covariance_px2` are those of `fit_polynomial`, as are `footprint_px` and `trend`; n ≥ 6, spread in both
+    directions.
     """
     predicted, observed, covariance = checked(
         "projective", MIN_PROJECTIVE_POINTS, predicted_px, observed_px, covariance_px2
     )
-    centre = predicted.mean(axis=0)
-    radius = float(np.sqrt(((predicted - centre) ** 2).sum(axis=1).mean())) or 1.0
+    trend = trend or Trend.of(predicted, observed, covariance)
+    centre, radius, affine = trend.centre_px, trend.radius_px, trend.estimate
     place = (predicted - centre) / radius
-    affine = estimate(np.column_stack([np.ones(len(place)), place]), observed - predicted, covariance)
     start = np.zeros(8)
     start[:6] = (affine.parameters + radius * np.eye(3, 2, -1)).ravel()
 
@@ -144,6 +149,7 @@ def fit_polynomial(
     name: str,
     order: int,
     columns: tuple[int, ...] | None = None,
+    trend: Trend | None = None,
 ) -> ParametricFit:
     """Fit the polynomial of an order: observed = predicted + Σ coefficient · term.
 
@@ -168,6 +174,8 @@ def fit_polynomial(
         0: a shift; 1: an affine; from 2 on it is continued linearly beyond the box of the points.
     columns : tuple of int, optional
         Indices of the terms that are fitted; all by default.
+    trend : Trend, optional
+        That of the points, if it is known.
     """
     columns = columns or tuple(range((order + 1) * (order + 2) // 2))
     predicted, observed, covariance = checked(
@@ -175,7 +183,10 @@ def fit_polynomial(
     )
     basis = _basis(order, predicted)
     values, displacement = basis.values(predicted)[:, columns], observed - predicted
-    found = estimate(values[:, :3], displacement, covariance)
+    if len(columns) < 3:
+        found = estimate(values, displacement, covariance)
+    else:
+        found = (trend or Trend.of(predicted, observed, covariance)).estimate
     if order > 1:
         # from the affine, as samples of ten points are hardly ever free of outliers
         start, fit = found.fitted_px, linear(values, displacement)
@@ -192,8 +203,7 @@ def fit_polynomial(
 
 def _basis(order: int, predicted_px: Float64) -> PolynomialBasis:
     """Return terms of order one about the points' centre, as raw pixels would lose half the digits."""
-    centre = predicted_px.mean(axis=0)
-    radius = float(np.sqrt(((predicted_px - centre) ** 2).sum(axis=1).mean())) or 1.0
+    centre, radius = centre_and_radius(predicted_px)
     low, high = predicted_px.min(axis=0), predicted_px.max(axis=0)
     corners = [(float(corner[0]), float(corner[1])) for corner in (centre, low, high)]
     return PolynomialBasis(order, corners[0], radius, corners[1], corners[2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from pcwlad_geo.correction.dense import in_chunks
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.estimation.robust import Estimate
+from pcwlad_geo.estimation.robust import Estimate, estimate
 from pcwlad_geo.estimation.shared_errors import SharedErrors, parameter_covariance
 from pcwlad_geo.estimation.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64
@@ -63,7 +63,7 @@ class Fit(ABC):
     predicted_px: Float64
     """(n, 2) positions of the tie points (col, row)."""
     remainder_px: Float64
-    """(n, 2) part of the displacements to which cross-validation applies `predictions`, px."""
+    """(n, 2) part of the displacements to which cross-validation applies `left_out`, px."""
     estimate: Estimate
     errors: SharedErrors
     """How far the points' errors are shared."""
@@ -90,14 +90,48 @@ class Fit(ABC):
         """Return the (n, 2, 2) covariance, px², of the correction at the (n, 2) predicted `at_px`."""
 
     @abstractmethod
-    def predictions(self, training: Bool, test: Bool, values_px: Float64) -> Float64:
-        """Return the prediction of the model, fitted to the training points alone, at the test points.
+    def left_out(self, folds: Sequence[Bool], values_px: Sequence[Float64]) -> list[Float64]:
+        """Return the predictions for each fold of points by the model fitted to the points of the others.
 
         Weights are those of the fit to all points, so this is linear in the values. Raises `InputError` if
-        the training points do not determine the model. The (n,) masks `training` and `test` select points, k
-        of them for the test; `values_px` are m sets of (n, 2, m) values (col, row) at all points, px. The
-        result is of shape (k, 2, m).
+        the points of the others do not determine the model. The `folds` are (n,) masks, and every point is
+        in one. For each there are m sets of (n, 2, m) `values_px` (col, row) at all points, px, and a result
+        of shape (k, 2, m) for its k points.
         """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trend:
+    """The robust affine of tie points, from which flexible models start."""
+
+    centre_px: Float64
+    """(2,) mean predicted position (col, row)."""
+    radius_px: float
+    """Root mean square distance of the predicted positions from that."""
+    estimate: Estimate
+    """Its parameters are of `terms`."""
+
+    @staticmethod
+    def of(predicted_px: Float64, observed_px: Float64, covariance_px2: Float64) -> Trend:
+        """Return the trend of points; raise `InputError` if they do not determine an affine.
+
+        The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2` are those of
+        `fit.fit_polynomial`.
+        """
+        predicted, observed, covariance = checked("affine", 3, predicted_px, observed_px, covariance_px2)
+        centre, radius = centre_and_radius(predicted)
+        terms = np.column_stack([np.ones(len(predicted)), (predicted - centre) / radius])
+        return Trend(centre, radius, estimate(terms, observed - predicted, covariance))
+
+    def terms(self, at_px: Float64) -> Float64:
+        """Return the (n, 3) terms 1, col and row, centred and scaled, at the (n, 2) `at_px`."""
+        return np.column_stack([np.ones(len(at_px)), (at_px - self.centre_px) / self.radius_px])
+
+
+def centre_and_radius(at_px: Float64) -> tuple[Float64, float]:
+    """Return the (2,) mean of the (n, 2) `at_px`, and their root mean square distance from it or 1."""
+    centre = at_px.mean(axis=0)
+    return centre, float(np.sqrt(((at_px - centre) ** 2).sum(axis=1).mean())) or 1.0
 
 
 class FitFunction(Protocol):
@@ -110,6 +144,7 @@ class FitFunction(Protocol):
         covariance_px2: Float64,
         *,
         footprint_px: float = 0.0,
+        trend: Trend | None = None,
     ) -> Fit:
         """Fit the model."""
 
@@ -118,7 +153,7 @@ class FitFunction(Protocol):
 class ParametricFit(Fit):
     """Fit of a model with few parameters; its remainder are the residuals, observed minus model.
 
-    Its `predictions` are one Gauss-Newton step from the fit to all points.
+    Its predictions of points left out are one Gauss-Newton step from the fit to all points.
     """
 
     parameter_covariance: Float64
@@ -164,17 +199,30 @@ class ParametricFit(Fit):
 
         return in_chunks(propagated, at_px)
 
-    def predictions(self, training: Bool, test: Bool, values_px: Float64) -> Float64:
-        """Return the (k, 2, m) predictions from the (n,) masks `training`, `test` and (n, 2, m) `values_px`.
+    def left_out(self, folds: Sequence[Bool], values_px: Sequence[Float64]) -> list[Float64]:
+        """Return the (k, 2, m) predictions for each of (n,) `folds` from (n, 2, m) `values_px`.
 
-        See `Fit.predictions`.
+        See `Fit.left_out`.
         """
-        root = np.sqrt(self.estimate.weight[training])[:, None, None] * self.estimate.whitener[training]
-        rows = (root @ self.jacobian(self.predicted_px[training])).reshape(-1, len(self.parameter_covariance))
-        values = (root @ values_px[training]).reshape(len(rows), -1)
+        jacobian = self.jacobian(self.predicted_px)
+        root = np.sqrt(self.estimate.weight)[:, None, None] * self.estimate.whitener
+        rows = root @ jacobian
+        weighted = (root.transpose(0, 2, 1) @ rows).reshape(-1, rows.shape[2])
+        of_folds = np.stack([_inner(rows[fold].reshape(-1, rows.shape[2])) for fold in folds])
+        of_others = np.tensordot(1 - np.eye(len(folds)), of_folds, axes=1)  # sums, so that none stays zero
+        right = np.stack(
+            [
+                weighted.T @ np.where(fold[:, None, None], 0.0, values).reshape(len(weighted), -1)
+                for fold, values in zip(folds, values_px, strict=True)
+            ]
+        )
         needs = f"the {self.correction.name} model needs tie points in other parts of the image as well"
-        found = solve(rows.T @ rows, rows.T @ values, needs, least=1e-12)
-        return self.jacobian(self.predicted_px[test]) @ found
+        found = solve(of_others, right, needs, least=1e-12)
+        return [jacobian[fold] @ parameters for fold, parameters in zip(folds, found, strict=True)]
+
+
+def _inner(rows: Float64) -> Float64:
+    return np.asarray(rows.T @ rows)
 
 
 def checked(

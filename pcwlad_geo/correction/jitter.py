@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.fitted import ParametricFit, checked
+from pcwlad_geo.correction.fitted import ParametricFit, Trend, checked
 from pcwlad_geo.correction.models import AffineCorrection, JitterCorrection, JitterWave
-from pcwlad_geo.estimation.robust import biweight, design, estimate, irls, linear, reweighted, weighted
+from pcwlad_geo.estimation.robust import biweight, design, irls, linear, reweighted, weighted
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.types import Float64, Index
 
@@ -133,14 +133,19 @@ def _smoothed(values: Float64, reach: int) -> Float64:
 
 
 def fit_jitter(
-    predicted_px: Float64, observed_px: Float64, covariance_px2: Float64, *, footprint_px: float = 0.0
+    predicted_px: Float64,
+    observed_px: Float64,
+    covariance_px2: Float64,
+    *,
+    footprint_px: float = 0.0,
+    trend: Trend | None = None,
 ) -> ParametricFit:
     """Fit an affine and the waves along rows and columns that are more than chance, of up to three periods.
 
     Without such a wave it is the affine. A displacement is taken for the mean over its window. Raises
     `InputError` if the points are too few or do not determine the model, or an array has a wrong shape or
     values that are not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2`
-    are those of `fit.fit_polynomial`, as is `footprint_px`.
+    are those of `fit.fit_polynomial`, as are `footprint_px` and `trend`.
     """
     predicted, observed, covariance = checked("jitter", 5, predicted_px, observed_px, covariance_px2)
     displacement, centre = observed - predicted, predicted.mean(axis=0)
@@ -155,7 +160,9 @@ def fit_jitter(
         terms = _terms(predicted, centre, waves, footprint_px)[:, 3:]
         rest = rest - terms @ least_squares(terms, rest)
     values = _terms(predicted, centre, waves, footprint_px)
-    found = estimate(values[:, :3], displacement, covariance)
+    trend = trend or Trend.of(predicted, observed, covariance)
+    units = np.array([1.0, RADIUS_PX / trend.radius_px, RADIUS_PX / trend.radius_px])
+    found = replace(trend.estimate, parameters=trend.estimate.parameters * units[:, None])
     if waves:
         # the affine takes waves for errors at most; they are smaller than what it rejects
         found = reweighted(linear(values, displacement), found.fitted_px, displacement, covariance)

@@ -39,9 +39,10 @@ def local_surface(xy_px: Float64, values_px: Float64) -> Float64:
         size = np.hypot(scatter[..., 0], scatter[..., 1])
         scale = np.maximum(np.median(size, axis=1, keepdims=True), 1e-6)  # 0 where the fit is exact
         weighted = design / (1 + (size / (2 * scale)) ** 2)[..., None]
-        normal = np.einsum("nki,nkj->nij", weighted, design)
+        turned = weighted.transpose(0, 2, 1)
+        normal = turned @ design
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(design.shape[2])
-        found = solve(normal, np.einsum("nki,nkj->nij", weighted, around))
+        found = solve(normal, turned @ around)
         scatter = around - design @ found
         value = found[:, 0]
     return value
@@ -352,9 +353,8 @@ def left_out_errors(fit: Fit, blocks: CrossValidationBlocks, noise: SharedNoise)
     determine the model.
     """
     squared = np.empty(len(noise.probes))
-    for test, shared in zip(blocks.tests, noise.shared, strict=True):
-        values = np.concatenate([fit.remainder_px[:, :, None], shared], axis=2)
-        predicted = fit.predictions(~test, test, values)
+    values = [np.concatenate([fit.remainder_px[:, :, None], shared], axis=2) for shared in noise.shared]
+    for test, predicted in zip(blocks.tests, fit.left_out(blocks.tests, values), strict=True):
         missed = fit.remainder_px[test] - predicted[:, :, 0]
         optimism = (noise.probes[test] * predicted[:, :, 1:]).sum(axis=(1, 2)) / PROBES
         squared[test] = (missed**2).sum(axis=1) + 2 * optimism

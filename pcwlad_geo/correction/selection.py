@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtri
 
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, MODELS
-from pcwlad_geo.correction.fitted import Fit
+from pcwlad_geo.correction.fitted import Fit, Trend
 from pcwlad_geo.correction.models import has_foldover
 from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
 from pcwlad_geo.errors import InputError
@@ -38,9 +39,9 @@ MIN_GAIN_PX = 0.05
 """Least radial RMS by which a model must reduce the error of one that needs no resampling. An affine rotates
 the axes of the map; on pairs displaced by a shift alone it gained up to 0.04 px by chance."""
 WINDOWS_PER_PARAMETER = 3.0
-"""Least number of separate matching windows per parameter of an axis for a model that needs resampling,
-unless it removes more error than it leaves. Errors that neighbours share look like detail to a
-cross-validation."""
+"""Least number of cells of one matching window, in which points lie, per parameter of an axis for a model
+that needs resampling. With fewer it must remove more error than it leaves, and more than chance explains.
+Errors that neighbours share look like detail to a cross-validation."""
 CHANCE = 0.05
 """Largest probability that errors alone explain the change of the correction by a more complex model."""
 COMMON_SIGMA = 0.6
@@ -110,12 +111,14 @@ class _Points:
     footprint_px: float
     sample_px: Float64
     """(m, 2) some of the predicted positions, at which fits are compared."""
+    trend: Trend | None
+    """None where the points determine none: each fit tells why."""
     known_px2: dict[str, Float64] = field(default_factory=dict)
     """Covariances there of the fits asked for, by model."""
 
     def fit(self, name: str) -> Fit:
         given = self.predicted_px, self.observed_px, self.covariance_px2
-        return MODELS[name].fit(*given, footprint_px=self.footprint_px)
+        return MODELS[name].fit(*given, footprint_px=self.footprint_px, trend=self.trend)
 
     def covariance(self, fit: Fit) -> Float64:
         """Return the (m, 2, 2) covariance of a fit at the sample, which takes long the first time."""
@@ -146,9 +149,10 @@ def choose(
     correction changes by more than the uncertainty of the fits and the error common to all points explain at
     95 %. Shift and affine need no resampling: to replace them, also the shift by the affine, whose
     geotransform rotates the axes of the map, a model must reduce the error by at least 0.05 px. One that
-    resamples must also be better by 2.5 standard errors, and have three separate windows for each parameter
-    of an axis or remove more error than it leaves. The measured field is tried where a model that resamples
-    has been chosen, and must be better than that by 2.5 standard errors. Squared errors are weighted by the
+    resamples must also be better by 2.5 standard errors, and have three windows for each parameter of an
+    axis. With fewer windows it must remove more error than it leaves, and than chance explains (F test at
+    95 %, each window without common pixels being one observation). The measured field is tried where one that
+    resamples has been chosen, and must be better by 2.5 standard errors. Squared errors are weighted by the
     points' variance; points that are outliers to every model do not count. A model with a foldover is never
     chosen. Raises `InputError` if no candidate can be fitted (with the reason of the first one), or there is
     none.
@@ -170,8 +174,11 @@ def choose(
         Whether both are frames of a camera: a projective is the image of flat ground then, and is left only
         for a model of less than half its squared error.
     """
+    trend = None
+    with suppress(InputError):
+        trend = Trend.of(predicted_px, observed_px, covariance_px2)
     given = (predicted_px, observed_px, covariance_px2, footprint_px)
-    points = _Points(*given, _sample(predicted_px))
+    points = _Points(*given, _sample(predicted_px), trend)
     notes: dict[str, str] = {}
     # The field is the costliest by far: it is tried only where a model that resamples has been chosen.
     first = (
@@ -276,9 +283,10 @@ def _simplest_unbeaten(
         gain = _gain(errors[name], errors[chosen], _significance(chosen, name), by_median=name in LOSSLESS)
         resampling = chosen in LOSSLESS and name not in LOSSLESS
         few_windows = windows < WINDOWS_PER_PARAMETER * fits[name].freedom / 2
+        left_px2 = errors[name].mean()
         if gain is None:
             notes[name] = f"does not predict significantly better than {chosen}"
-        elif resampling and few_windows and gain < errors[name].mean():
+        elif resampling and few_windows and gain < _least_gain(fits[chosen], fits[name], points) * left_px2:
             notes[name] = f"has too many parameters for {windows} separate matching windows"
         elif chosen in LOSSLESS and gain < MIN_GAIN_PX**2:
             notes[name] = f"takes out only {np.sqrt(gain):.2f} px more than {chosen}"
@@ -314,8 +322,32 @@ def _gain(error_px2: Float64, simpler_px2: Float64, significance: float, *, by_m
     return None
 
 
+def _least_gain(simple: Fit, other: Fit, points: _Points) -> float:
+    """Return the least gain of a model on few windows, in squared errors that it leaves.
+
+    The F test counts each window without common pixels once: errors of points that share pixels, or that were
+    matched as their neighbours expect, are no independent evidence.
+    """
+    windows = _separate_windows(points.predicted_px, points.footprint_px)
+    added = other.freedom - simple.freedom
+    spare = max(2 * windows - other.freedom, 1.0)
+    by_chance = float(fdtri(added, spare, 1 - CHANCE)) * added / (2 * windows)
+    return max(by_chance, 1.0)
+
+
+def _separate_windows(at_px: Float64, footprint_px: float) -> int:
+    """Return how many of the points, taken row by row, have windows without common pixels."""
+    if footprint_px <= 0:
+        return len(at_px)
+    separate = np.empty((0, 2))
+    for place in at_px[np.lexsort(at_px.T)]:
+        if (np.abs(separate - place).max(axis=1) >= footprint_px).all():
+            separate = np.vstack([separate, place])
+    return len(separate)
+
+
 def _windows(points: _Points) -> int:
-    """Return the approximate number of windows without common pixels that the points cover."""
+    """Return the number of cells, as large as a matching window, in which points lie."""
     if points.footprint_px <= 0:  # points that share no window: each counts by itself
         return len(points.predicted_px)
     return len(np.unique(np.floor(points.predicted_px / points.footprint_px), axis=0))

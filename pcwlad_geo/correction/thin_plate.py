@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -10,13 +11,13 @@ import scipy.sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
 from pcwlad_geo.correction.dense import Lattice, positions
-from pcwlad_geo.correction.fitted import Fit, Support, checked
+from pcwlad_geo.correction.fitted import Fit, Support, Trend, checked
 from pcwlad_geo.correction.models import SplineCorrection, SplineGrid, cubic_b_splines
 from pcwlad_geo.correction.points import PROBES, cross_validation_blocks, local_surface
-from pcwlad_geo.estimation.robust import Estimate, Solution, estimate, reweighted
+from pcwlad_geo.estimation.robust import Estimate, Solution, reweighted
 from pcwlad_geo.estimation.shared_errors import Overlaps, SharedErrors, probes_of, random_signs
-from pcwlad_geo.estimation.solving import BandedFactor
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.estimation.solving import BandedFactor, banded
+from pcwlad_geo.types import Bool, Float64, Index
 
 Sparse: TypeAlias = scipy.sparse.csc_array
 
@@ -100,6 +101,10 @@ class ThinPlateSystem:
     """(k, k) bending energy; of the field model, plus its decay."""
     energy_of_both: Sparse
     """(2 * k, 2 * k) energy of the coefficients of col, then of row."""
+    transposed: scipy.sparse.csc_array
+    """(k, n) of the design."""
+    energy_bands: tuple[Float64, Float64]
+    """Diagonals of the energy of one axis and of both, see `solving.banded`."""
 
     @classmethod
     def of(cls, xy_px: Float64, footprint_px: float) -> ThinPlateSystem:
@@ -120,17 +125,28 @@ class ThinPlateSystem:
     @classmethod
     def on(cls, grid: SplineGrid, design: scipy.sparse.csr_array, energy: Sparse) -> ThinPlateSystem:
         """Return the equations for an (n, k) `design` and a (k, k) `energy`."""
-        return cls(grid, design, energy, scipy.sparse.block_diag([energy, energy], format="csc"))
+        both = scipy.sparse.block_diag([energy, energy], format="csc")
+        bands = tuple(
+            banded(matrix, _order(len(grid.nodes_px()), axes)) for axes, matrix in ((1, energy), (2, both))
+        )
+        return cls(grid, design, energy, both, design.T, (bands[0], bands[1]))
 
-    def normal(self, precision: Float64) -> Sparse:
-        """Return the normal matrix of one axis for an (n,) `precision`, 1/px², of both for (n, 2, 2).
+    def normal(self, precision: Float64) -> Float64:
+        """Return the diagonals (see `solving.banded`) of the normal matrix for a precision, 1/px².
 
-        With both axes, all coefficients of col come first, then all of row.
+        It is that of one axis for an (n,) `precision`, of both for (n, 2, 2).
         """
         if precision.ndim == 1:
-            return scipy.sparse.csc_array(self.design.T @ (self.design * precision[:, None]))
-        col, cross, row = (self.normal(precision[:, a, b]) for a, b in ((0, 0), (0, 1), (1, 1)))
-        return scipy.sparse.csc_array(scipy.sparse.block_array([[col, cross], [cross, row]]))
+            return banded(self._normal(precision), _order(self.design.shape[1], 1))
+        col, cross, row = (self._normal(precision[:, a, b]) for a, b in ((0, 0), (0, 1), (1, 1)))
+        both = scipy.sparse.block_array([[col, cross], [cross, row]])
+        return banded(both, _order(self.design.shape[1], 2))
+
+    def _normal(self, precision: Float64) -> Sparse:
+        """Return the (k, k) normal matrix of one axis for an (n,) `precision`, 1/px²."""
+        design = self.design
+        scaled = design.data * np.repeat(precision, np.diff(design.indptr))
+        return self.transposed @ scipy.sparse.csr_array((scaled, design.indices, design.indptr), design.shape)
 
     def planes(self, root: Float64) -> Float64:
         """Return (n, 3) orthonormal vectors that span the planes at the points, times the (n,) `root`."""
@@ -149,20 +165,28 @@ class ThinPlateSystem:
         factor = self.factor(self.normal(precision), self.smoothing(relative_smoothing, precision))
         planes = self.planes(precision)
         bent = probes - planes @ (planes.T @ probes)
-        smoothed = self.design @ factor.solve(self.design.T @ bent)
+        smoothed = self.design @ factor.solve(self.transposed @ bent)
         return 3 + float((bent * smoothed).sum()) / float(probes.shape[1])
 
     def smoothing(self, relative_smoothing: float, precision: Float64) -> float:
         """Return λ for the (n,) `precision`, 1/px²: it is relative to the mean total precision of a cell."""
         return relative_smoothing * float(precision.sum()) / float(np.prod(self.grid.cells))
 
-    def factor(self, normal: Sparse, smoothing: float) -> BandedFactor:
-        """Factorise the matrix `normal` plus `smoothing` times the bending energy."""
-        axes = normal.shape[0] // self.energy.shape[0]
-        energy = self.energy if axes == 1 else self.energy_of_both
-        order = np.arange(normal.shape[0]).reshape(-1, axes).T.ravel()  # both axes of a node are adjacent
-        matrix = scipy.sparse.csc_array(normal + smoothing * energy)
-        return BandedFactor(matrix, order, "the thin-plate spline needs tie points of finite sigma")
+    def factor(self, normal: Float64, smoothing: float) -> BandedFactor:
+        """Factorise the matrix with the (b, k) diagonals `normal`, plus `smoothing` times the energy."""
+        count = self.design.shape[1]
+        axes = normal.shape[1] // count
+        energy = self.energy_bands[axes - 1]
+        total = np.zeros((max(len(normal), len(energy)), axes * count))
+        total[: len(normal)] = normal
+        total[: len(energy)] += smoothing * energy
+        needs = "the thin-plate spline needs tie points of finite sigma"
+        return BandedFactor(total, _order(count, axes), needs)
+
+
+def _order(count: int, axes: int) -> Index:
+    """Return the places of the coefficients of one axis or of both in the band: a node's are adjacent."""
+    return np.arange(axes * count).reshape(-1, axes).T.ravel()
 
 
 class Successive:
@@ -187,10 +211,11 @@ class Successive:
     def solve(self, precision: Float64, smoothing: float) -> Float64:
         """Return the (k, 2) coefficients (col, row), px, for an (n, 2, 2) `precision` and a `smoothing`."""
         design, energy = self._system.design, self._system.energy_of_both
+        transposed = self._system.transposed
 
         def right_side(values_px: Float64) -> Float64:
             weighted = np.einsum("iab,ib->ia", precision, values_px)
-            return np.asarray((design.T @ weighted).T.ravel())
+            return np.asarray((transposed @ weighted).T.ravel())
 
         def times(flat: Float64) -> Float64:
             return np.asarray(right_side(design @ flat.reshape(2, -1).T) + smoothing * (energy @ flat))
@@ -251,8 +276,8 @@ class SmoothingTrials:
     overlaps: Overlaps
     values_px: Float64
     """(n, 2) values (col, row), px."""
-    normal: Sparse
-    """The normal matrix, the same for every smoothing."""
+    normal: Float64
+    """Diagonals of the normal matrix, the same for every smoothing."""
     root: Float64
     """(n, 1) square root of the precision, 1/px, 0 for outliers."""
     inlier: Float64
@@ -263,6 +288,14 @@ class SmoothingTrials:
     """(n, m) products of these signs with the overlaps of the inliers' windows."""
     planes: Float64
     """(n, 3) orthonormal vectors that span the planes, see `ThinPlateSystem.planes`."""
+    patches: float
+    """Number of independent windows, see `Overlaps.patches`."""
+    straight: tuple[float, float]
+    """Parameters of the planes, for independent errors and for errors that windows share."""
+    whitened: Float64
+    """(n, m') probes, products with the overlaps, planes and values, to which every spline is fitted."""
+    right: Float64
+    """(k, m') right sides of their normal equations."""
 
     @classmethod
     def of(
@@ -283,9 +316,26 @@ class SmoothingTrials:
         inlier = (weight > 0).astype(np.float64)
         precision = mean_precision(whitener, inlier)
         root, of_inliers = np.sqrt(precision)[:, None], inlier[:, None]
-        shared = of_inliers * overlaps.times(of_inliers * probes)
-        given = (system.normal(precision), root, of_inliers, probes, shared)
-        return cls(system, overlaps, values_px, *given, system.planes(root[:, 0]))
+        planes = system.planes(root[:, 0])
+        count = probes.shape[1]
+        times = of_inliers * overlaps.times(of_inliers * np.column_stack([probes, planes]))
+        shared, straight = (
+            times[:, :count],
+            (float((planes**2).sum()), float((planes * times[:, count:]).sum())),
+        )
+        whitened = np.column_stack([probes, shared, planes, root * values_px])
+        given = (
+            system.normal(precision),
+            root,
+            of_inliers,
+            probes,
+            shared,
+            planes,
+            overlaps.patches(),
+            straight,
+            whitened,
+        )
+        return cls(system, overlaps, values_px, *given, system.transposed @ (root * whitened))
 
     @property
     def precision(self) -> Float64:
@@ -298,34 +348,29 @@ class SmoothingTrials:
 
     def at(self, smoothing: float) -> SmoothingTrial:
         """Fit a spline with the `smoothing` λ; estimate its response to independent and shared errors."""
-        factor = self.system.factor(self.normal, smoothing)
-        whitened = np.column_stack([self.probes, self.shared, self.planes, self.root * self.values_px])
-        found = factor.solve(self.system.design.T @ (self.root * whitened))
-        remaining = whitened - self.root * (self.system.design @ found)
+        found = self.system.factor(self.normal, smoothing).solve(self.right)
+        remaining = self.whitened - self.root * (self.system.design @ found)
         count = self.probes.shape[1]
         left, shared_error, bent, residual = np.split(remaining, [count, 2 * count, 2 * count + 3], axis=1)
         followed = self.probes - left
         own = self.inlier * self.probes
         own_error = own - followed  # a spline follows inliers alone
-        products = [[(a * b).sum() for b in (own_error, shared_error)] for a in (left, self._shared(left))]
+        times = self.inlier * self.overlaps.times(self.inlier * np.column_stack([left, residual]))
+        products = [[(a * b).sum() for b in (own_error, shared_error)] for a in (left, times[:, :count])]
         squares = float((residual**2).sum()) / 2
         errors = SharedErrors.of(
             np.array(products) / count,
             squares,
-            float((residual * self._shared(residual)).sum()) / 2,
-            self.overlaps.patches(),
+            float((residual * times[:, count:]).sum()) / 2,
+            self.patches,
         )
         # Planes are reproduced, and counted exactly; random signs estimate the rest of the traces.
         smoothed = followed - (self.planes - bent) @ (self.planes.T @ self.probes)
-        straight = (self.planes**2).sum(), (self.planes * self._shared(self.planes)).sum()
         used = [
-            float(part + (smoothed * noise).sum() / count) / float(self.inlier.sum())
-            for part, noise in zip(straight, (own, self.shared), strict=True)
+            (part + float((smoothed * noise).sum()) / count) / float(self.inlier.sum())
+            for part, noise in zip(self.straight, (own, self.shared), strict=True)
         ]
         return SmoothingTrial(squares, (used[0], used[1]), errors)
-
-    def _shared(self, vectors: Float64) -> Float64:
-        return self.inlier * self.overlaps.times(self.inlier * vectors)
 
 
 def best(trials: list[SmoothingTrial], alpha: float) -> int:
@@ -357,17 +402,20 @@ class SplineFit(Fit):
     """λ."""
     footprint_px: float
 
-    def predictions(self, training: Bool, test: Bool, values_px: Float64) -> Float64:
-        """Return the (k, 2, m) predictions from the (n,) masks `training`, `test` and (n, 2, m) `values_px`.
+    def left_out(self, folds: Sequence[Bool], values_px: Sequence[Float64]) -> list[Float64]:
+        """Return the (k, 2, m) predictions for each of (n,) `folds` from (n, 2, m) `values_px`.
 
-        See `Fit.predictions`.
+        See `Fit.left_out`.
         """
-        weight = np.where(training, self.estimate.weight, 0.0)
-        precision = mean_precision(self.whitener, weight)
-        factor = self.system.factor(self.system.normal(precision), self.smoothing)
-        flat = values_px.reshape(len(values_px), -1)
-        found = self.system.design[test] @ factor.solve(self.system.design.T @ (precision[:, None] * flat))
-        return np.asarray(found.reshape(-1, *values_px.shape[1:]))
+        precision = mean_precision(self.whitener, self.estimate.weight)
+        predicted = []
+        for fold, values in zip(folds, values_px, strict=True):
+            of_others = np.where(fold, 0.0, precision)
+            factor = self.system.factor(self.system.normal(of_others), self.smoothing)
+            flat = of_others[:, None] * values.reshape(len(values), -1)
+            found = self.system.design[fold] @ factor.solve(self.system.transposed @ flat)
+            predicted.append(np.asarray(found.reshape(-1, *values.shape[1:])))
+        return predicted
 
     def covariance(self, at_px: Float64) -> Float64:
         """Return the (n, 2, 2) covariance, px², of the correction at the (n, 2) predicted `at_px`.
@@ -428,7 +476,12 @@ HOLE = 2.0
 
 
 def fit_tps(
-    predicted_px: Float64, observed_px: Float64, covariance_px2: Float64, *, footprint_px: float = 0.0
+    predicted_px: Float64,
+    observed_px: Float64,
+    covariance_px2: Float64,
+    *,
+    footprint_px: float = 0.0,
+    trend: Trend | None = None,
 ) -> SplineFit:
     """Fit a smoothing thin-plate spline (Duchon 1977, doi:10.1007/BFb0086566), weighted by the covariance.
 
@@ -437,14 +490,19 @@ def fit_tps(
     do not count as detail (Opsomer, Wang & Yang 2001). The spline never interpolates the points. Raises
     `InputError` if the points are too few or lie on a line, or an array has a wrong shape or values that are
     not finite. The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2` are those of
-    `fit.fit_polynomial`, as is `footprint_px`; n ≥ 12, not on one line.
+    `fit.fit_polynomial`, as are `footprint_px` and `trend`; n ≥ 12, not on one line.
     """
     points = checked("tps", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
-    return _fit_spline("tps", ThinPlateSystem.of(points[0], footprint_px), points, footprint_px)
+    return _fit_spline("tps", ThinPlateSystem.of(points[0], footprint_px), points, footprint_px, trend)
 
 
 def fit_field(
-    predicted_px: Float64, observed_px: Float64, covariance_px2: Float64, *, footprint_px: float = 0.0
+    predicted_px: Float64,
+    observed_px: Float64,
+    covariance_px2: Float64,
+    *,
+    footprint_px: float = 0.0,
+    trend: Trend | None = None,
 ) -> SplineFit:
     """Fit the measured field: an affine, plus what the points show beyond it, weighted by the covariance.
 
@@ -454,27 +512,26 @@ def fit_field(
     one window each, with the errors that these share with their neighbours allowed for. Raises `InputError`
     if the points are too few or lie on a line, or an array has a wrong shape or values that are not finite.
     The (n, 2) `predicted_px` and `observed_px` and the (n, 2, 2) `covariance_px2` are those of
-    `fit.fit_polynomial`, as is `footprint_px`; n ≥ 12, not on one line.
+    `fit.fit_polynomial`, as are `footprint_px` and `trend`; n ≥ 12, not on one line.
     """
     points = checked("field", MIN_SPLINE_POINTS, predicted_px, observed_px, covariance_px2)
     reach_px = HOLE * (Support.of(points[0], footprint_px).reach_px or 1.0)
     system = ThinPlateSystem.of_field(points[0], footprint_px, reach_px)
-    return _fit_spline("field", system, points, footprint_px)
+    return _fit_spline("field", system, points, footprint_px, trend)
 
 
 def _fit_spline(
-    name: str, system: ThinPlateSystem, points: tuple[Float64, Float64, Float64], footprint_px: float
+    name: str,
+    system: ThinPlateSystem,
+    points: tuple[Float64, Float64, Float64],
+    footprint_px: float,
+    trend: Trend | None,
 ) -> SplineFit:
     """Fit a spline, given its equations, to (predicted, observed, covariance) of points."""
     predicted, observed, covariance = points
-    centre, radius = predicted.mean(axis=0), float(np.ptp(predicted, axis=0).max()) or 1.0
-
-    def plane(at_px: Float64) -> Float64:
-        return np.column_stack([np.ones(len(at_px)), (at_px - centre) / radius])
-
-    displacement = observed - predicted
-    affine = estimate(plane(predicted), displacement, covariance)
-    overlaps, rest = Overlaps.of(predicted, footprint_px), displacement - affine.fitted_px
+    trend = trend or Trend.of(predicted, observed, covariance)
+    overlaps = Overlaps.of(predicted, footprint_px)
+    rest = observed - predicted - trend.estimate.fitted_px
     task = _SplineTask(system, overlaps, probes_of(predicted), rest, covariance)
     start = local_surface(predicted, rest)
     if name == "field":
@@ -483,7 +540,7 @@ def _fit_spline(
         relative_smoothing = _smoothing_by_score(task, start)
     found = task.fitted(relative_smoothing, start)
     smoothing = system.smoothing(relative_smoothing, mean_precision(found.whitener, found.weight))
-    coefficients = found.parameters + plane(system.grid.nodes_px()) @ affine.parameters
+    coefficients = found.parameters + trend.terms(system.grid.nodes_px()) @ trend.estimate.parameters
     return SplineFit(
         correction=SplineCorrection(name, system.grid, coefficients.reshape(*system.grid.shape, 2)),
         freedom=2 * found.freedom,
@@ -507,7 +564,8 @@ def _smoothing_by_blocks(task: _SplineTask, start_px: Float64, footprint_px: flo
     """
     tried = _tried(task)
     trials = task.trials(task.weighted(start_px))
-    smoothest, errors = _best(trials, tried)
+    smoothest, trial = _best(trials, tried)
+    errors = trial.errors
     blocks = cross_validation_blocks(xy_px, footprint_px)
     precision, system = trials.precision, task.system
     folds = int(np.clip(8000 // system.energy.shape[0], 4, len(blocks.tests)))
@@ -519,7 +577,7 @@ def _smoothing_by_blocks(task: _SplineTask, start_px: Float64, footprint_px: flo
         noise = sigma * task.overlaps.times(signs * sigma * test[:, None])
         kept = np.where(test, 0.0, precision)
         normal, values = system.normal(kept), np.column_stack([task.rest_px, noise])
-        right = system.design.T @ (kept[:, None] * values)
+        right = system.transposed @ (kept[:, None] * values)
         for step, relative_smoothing in enumerate(finer):
             factor = system.factor(normal, trials.smoothing(relative_smoothing))
             predicted = system.design[test] @ factor.solve(right)
@@ -539,10 +597,10 @@ def _smoothing_by_score(task: _SplineTask, start_px: Float64) -> float:
     """
     tried = _tried(task)
     trials = task.trials(task.weighted(start_px))
-    found, errors = _best(trials, tried)
+    found, trial = _best(trials, tried)
     between = [tried[found] * factor for factor in (2.0, 1.0, 0.5)]
-    near = [trials.at(trials.smoothing(relative_smoothing)) for relative_smoothing in between]
-    return between[best(near, errors.alpha)]
+    less, more = (trials.at(trials.smoothing(between[k])) for k in (0, 2))
+    return between[best([less, trial, more], trial.errors.alpha)]
 
 
 def _tried(task: _SplineTask) -> list[float]:
@@ -552,15 +610,15 @@ def _tried(task: _SplineTask) -> list[float]:
     return [0.02 * side**4 / 4.0**step for step in range(14)]
 
 
-def _best(trials: SmoothingTrials, tried: list[float]) -> tuple[int, SharedErrors]:
-    """Return the index of the smoothing parameter of the best score, and how far errors are shared."""
+def _best(trials: SmoothingTrials, tried: list[float]) -> tuple[int, SmoothingTrial]:
+    """Return the index of the smoothing parameter of the best score, and its trial."""
     done = []
     for relative_smoothing in tried:
         done.append(trials.at(trials.smoothing(relative_smoothing)))
         if not np.isfinite(done[-1].score(alpha=0.0)):
             break
     index = best(done, alpha=1.0)
-    return index, done[index].errors
+    return index, done[index]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

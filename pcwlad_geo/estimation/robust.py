@@ -314,7 +314,8 @@ def weighted_least_squares(
         f"the {np.count_nonzero(weight > 0)} consistent tie points lie on a line or in one place and do not "
         "determine the model; use a simpler model, or more tie points"
     )
-    check_rank(basis[weight > 0], COLLINEAR, needs)
+    determining = basis[weight > 0]
+    check_rank(determining.T @ determining, COLLINEAR**2, needs)  # far smaller than the basis itself
     root = np.sqrt(weight)[:, None]
     rows = (root[:, :, None] * design(basis, whitener)).reshape(-1, 2 * basis.shape[1])
     values = (root * _rotate(whitener, displacement_px)).ravel()

@@ -31,6 +31,8 @@ class Overlaps:
     cover: scipy.sparse.csr_array | None
     """(n, cells) rows of length 1; None for windows of size 0, where R is the identity."""
     n: int
+    transposed: scipy.sparse.csc_array | None = None
+    """(cells, n) of `cover`."""
 
     @classmethod
     def of(cls, xy_px: Float64, side_px: float) -> Overlaps:
@@ -50,17 +52,18 @@ class Overlaps:
         values = covered[:, 1, :, None] * covered[:, 0, None, :]
         pointer = np.arange(0, values.size + 1, (CELLS_PER_WINDOW + 1) ** 2)
         shape = (n, len(cells))
-        return cls(scipy.sparse.csr_array((values.ravel(), column.ravel(), pointer), shape=shape), n)
+        cover = scipy.sparse.csr_array((values.ravel(), column.ravel(), pointer), shape=shape)
+        return cls(cover, n, cover.T)
 
     def times(self, vectors: Float64) -> Float64:
         """Return the (n, ...) product of R with the (n, ...) `vectors`."""
-        if self.cover is None:
+        if self.cover is None or self.transposed is None:
             return vectors
         flat = vectors.reshape(self.n, -1)
         products = np.empty_like(flat)
         for start in range(0, flat.shape[1], BATCH):
             part = slice(start, start + BATCH)
-            products[:, part] = self.cover @ (self.cover.T @ flat[:, part])
+            products[:, part] = self.cover @ (self.transposed @ flat[:, part])
         return products.reshape(vectors.shape)
 
     def patches(self) -> float:

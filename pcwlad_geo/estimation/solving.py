@@ -34,11 +34,12 @@ def check_observations(name: str, *arrays: Float64) -> None:
 
 
 def check_rank(matrix: Float64, least: float, needs: str) -> None:
-    """Raise `InputError` if a singular value of an (n, k) `matrix` is at most `least` of the largest."""
+    """Raise `InputError` if a singular value of a (..., n, k) `matrix` is at most `least` of the largest."""
     singular = _checked(lambda values: np.linalg.svd(values, compute_uv=False), needs, matrix)
-    rank = np.count_nonzero(singular > least * singular.max(initial=0.0))
-    if rank < matrix.shape[1]:
-        raise InputError(f"{needs} (what is given determines {rank} of {matrix.shape[1]} unknowns)")
+    largest = singular.max(axis=-1, initial=0.0, keepdims=True)
+    rank = np.count_nonzero(singular > least * largest, axis=-1).min()
+    if rank < matrix.shape[-1]:
+        raise InputError(f"{needs} (what is given determines {rank} of {matrix.shape[-1]} unknowns)")
 
 
 def solve(matrix: Float64, right: Float64, needs: str = SCALE, least: float = 0.0) -> Float64:
@@ -82,6 +83,20 @@ def factorised(matrix: csc_array, needs: str, **options: object) -> SuperLU:
         raise InputError(f"{needs} (what is given is singular)") from error
 
 
+def banded(matrix: sparray, order: Index) -> Float64:
+    """Return the (b, k) diagonals, from the main one downwards, of a symmetric sparse (k, k) `matrix`.
+
+    The (k,) `order` is the place of each unknown in the band.
+    """
+    entries = matrix.tocoo()
+    row, col = order[entries.row], order[entries.col]
+    below = row - col
+    band = np.zeros((int(below.max()) + 1, matrix.shape[0]))
+    lower = below >= 0
+    band[below[lower], col[lower]] = entries.data[lower]
+    return band
+
+
 class BandedFactor:
     """The Cholesky factor of a symmetric positive sparse matrix whose entries lie near its diagonal.
 
@@ -90,20 +105,15 @@ class BandedFactor:
 
     Parameters
     ----------
-    matrix : (k, k) sparse array
+    band : (b, k) array
+        Its diagonals, see `banded`.
     order : (k,) array of int
         Place of each unknown in the band.
     needs : str
         The sentence of the error if the matrix is singular.
     """
 
-    def __init__(self, matrix: csc_array, order: Index, needs: str) -> None:
-        entries = matrix.tocoo()
-        row, col = order[entries.row], order[entries.col]
-        below = row - col
-        band = np.zeros((int(below.max()) + 1, matrix.shape[0]))
-        lower = below >= 0
-        band[below[lower], col[lower]] = entries.data[lower]
+    def __init__(self, band: Float64, order: Index, needs: str) -> None:
         self._order = order
         try:
             self._factor = scipy.linalg.cholesky_banded(band, True, lower=True)

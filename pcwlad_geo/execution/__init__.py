@@ -1,1 +1,1 @@
-"""Execution of the calls of a job: in this process, in own worker processes, or on a cluster."""
+"""Execution of the calls of a job: in threads of this process, in processes of its own, or on a cluster."""

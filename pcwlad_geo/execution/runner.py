@@ -12,7 +12,6 @@ import re
 import struct
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -26,14 +25,15 @@ from concurrent.futures import (
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 import rasterio.env
 from threadpoolctl import threadpool_limits
 
 from pcwlad_geo.errors import ExecutionError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
-from pcwlad_geo.raster.trust import Trust, current_trust, trusting
+from pcwlad_geo.raster.trust.permissions import Trust, current_trust, trusting
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -78,6 +78,16 @@ def in_environment(
         return function(*arguments)
 
 
+class _Answer(NamedTuple):
+    """What a call has returned, if the executor has made it."""
+
+    value: Any
+
+
+def _marked(*call: Any) -> _Answer:  # noqa: ANN401  # see in_environment
+    return _Answer(in_environment(*call))
+
+
 @contextmanager
 def one_opencv_thread() -> Iterator[None]:
     """Limit OpenCV to one thread in this process for the duration of the context."""
@@ -107,17 +117,6 @@ IN_FLIGHT: Final = 64
 """Largest number of calls submitted at a time to an executor of unknown size."""
 CHECK_S: Final = 1.0
 """Time between two checks whether there are still workers."""
-Affinity = Sequence[int | None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CallResults(Generic[T]):
-    """The results of the calls of a stage."""
-
-    results: list[T]
-    """Results in the order of the calls."""
-    workers: list[int | None]
-    """The worker that executed each call, for the `affinity` of a later stage; None if it has no number."""
 
 
 class Runner(Protocol):
@@ -128,16 +127,16 @@ class Runner(Protocol):
         """Whether the workers run on this machine, and write where this process does."""
 
     @property
-    def honours_affinity(self) -> bool:
-        """Whether a call is sent to the worker that is requested for it."""
+    def shares_memory(self) -> bool:
+        """Whether the workers are threads of this process: a call has what an earlier one has kept."""
 
     @property
     def threads(self) -> int:
-        """Number of threads that a call may use which runs alone."""
+        """Number of calls that run at a time, and of threads that a call may use which runs alone."""
 
-    def expect(self, calls: int) -> None:
-        """Prepare for about `calls` calls, without waiting."""
-        return
+    @property
+    def shares_jobs(self) -> bool:
+        """Whether `run_jobs` executes several at a time, in processes of this machine."""
 
     def run(
         self,
@@ -145,9 +144,8 @@ class Runner(Protocol):
         calls: Sequence[tuple[Any, ...]],
         stage: str,
         on_event: EventCallback = ignore,
-        affinity: Affinity | None = None,
-    ) -> CallResults[T]:
-        """Call the function with each tuple of arguments.
+    ) -> list[T]:
+        """Call the function with each tuple of arguments; return the results in the order of the calls.
 
         Parameters
         ----------
@@ -159,22 +157,33 @@ class Runner(Protocol):
             Name of the stage in progress events.
         on_event : callable
             Receives a `Progress` after each call; an exception that it raises ends the stage.
-        affinity : sequence of (int or None), optional
-            For each call the worker that should execute it, from `CallResults.workers`; None = any. It is a
-            hint: the worker may have been replaced by a new process, and only `OwnProcesses` honours it.
 
         Raises
         ------
         ExecutionError
-            If the processes or the executor are lost.
+            If the executor is lost.
         """
+
+    def run_jobs(
+        self,
+        function: Callable[..., T],
+        calls: Sequence[tuple[Any, ...]],
+        stage: str,
+        on_event: EventCallback = ignore,
+    ) -> list[T | ExecutionError]:
+        """Do what `run` does with a function that does a whole job.
+
+        The result of a call whose process was lost is an `ExecutionError` that says how.
+        """
+        return [*self.run(function, calls, stage, on_event)]
 
 
 class InThisProcess(Runner):
     """Executes one call after another in this process."""
 
     is_local = True
-    honours_affinity = True
+    shares_memory = True
+    shares_jobs = False
     threads = 1
 
     def run(
@@ -183,8 +192,7 @@ class InThisProcess(Runner):
         calls: Sequence[tuple[Any, ...]],
         stage: str,
         on_event: EventCallback = ignore,
-        affinity: Affinity | None = None,
-    ) -> CallResults[T]:
+    ) -> list[T]:
         """Call the function with each tuple of arguments; see `Runner`."""
         on_event(Progress(stage, 0, len(calls)))
         results = []
@@ -192,55 +200,41 @@ class InThisProcess(Runner):
             with one_opencv_thread():
                 results.append(function(*arguments))
             on_event(Progress(stage, done, len(calls)))
-        return CallResults(results, [None] * len(calls))
+        return results
 
 
 def run_calls(
-    submit: Callable[[int, int], Future[T]],
-    wanted: Sequence[int | None],
-    slots: int,
+    submit: Callable[[int], Future[T]],
+    count: int,
+    in_flight: int,
     stage: str,
     on_event: EventCallback,
     check: Callable[[], None] | None = None,
-) -> tuple[list[T], list[int]]:
-    """Keep each slot busy with one call at a time until all are done; return result and slot of each.
+) -> list[T]:
+    """Do calls, `in_flight` of them at a time; return the results in their order.
 
-    `submit` starts call number `index` on slot number `slot`, where it is `wanted` (None = any). A `Progress`
-    of the `stage` is sent after each call. `check` is called every `CHECK_S` while calls are awaited; an
-    exception that it raises ends the job.
+    `submit` starts a call by its number, of which there are `count`. A `Progress` of the `stage` is sent
+    after each call. `check` is called every `CHECK_S` while calls are awaited; an exception that it raises
+    ends the job.
     """
-    anywhere: deque[int] = deque()
-    reserved: list[deque[int]] = [deque() for _ in range(slots)]
-    for index, slot in enumerate(wanted):
-        queue = anywhere if slot is None or not 0 <= slot < slots else reserved[slot]
-        queue.append(index)
     results: dict[int, T] = {}
-    done_by: dict[int, int] = {}
     waiting: dict[Future[T], int] = {}
-    idle = list(range(slots))
-    on_event(Progress(stage, 0, len(wanted)))
+    upcoming = iter(range(count))
+    on_event(Progress(stage, 0, count))
     try:
-        while len(results) < len(wanted):
-            for slot in idle:
-                queue = reserved[slot] or anywhere
-                if queue:
-                    index = queue.popleft()
-                    done_by[index] = slot
-                    waiting[submit(index, slot)] = index
+        while len(results) < count:
+            for index in islice(upcoming, in_flight - len(waiting)):
+                waiting[submit(index)] = index
             finished, _ = wait(waiting, CHECK_S if check else None, return_when=FIRST_COMPLETED)
             if check:
                 check()
-            idle = []
             for future in finished:
-                index = waiting.pop(future)
-                idle.append(done_by[index])
-                results[index] = future.result()
-                on_event(Progress(stage, len(results), len(wanted)))
+                results[waiting.pop(future)] = future.result()
+                on_event(Progress(stage, len(results), count))
     finally:  # after an error: the executor may belong to the caller and continue
         for future in waiting:
             future.cancel()
-    order = range(len(wanted))
-    return [results[index] for index in order], [done_by[index] for index in order]
+    return [results[index] for index in range(count)]
 
 
 @dataclass(slots=True, eq=False)
@@ -258,7 +252,9 @@ class OnExecutor(Runner):
     """Whether its workers are threads or processes of this machine."""
     check: Callable[[EventCallback], None] | None = None
     """Called every `CHECK_S` while calls are awaited, with the receiver of warnings; it may raise."""
-    honours_affinity = False
+    shares_memory: bool = False
+    """Whether its workers are threads of this process."""
+    shares_jobs = False
     threads = 1
 
     def run(
@@ -267,23 +263,29 @@ class OnExecutor(Runner):
         calls: Sequence[tuple[Any, ...]],
         stage: str,
         on_event: EventCallback = ignore,
-        affinity: Affinity | None = None,
-    ) -> CallResults[T]:
+    ) -> list[T]:
         """Call the function with each tuple of arguments; see `Runner`."""
         settings, trust = gdal_settings(), current_trust()
 
-        def submit(index: int, _: int) -> Future[T]:
-            return self.executor.submit(in_environment, settings, trust, function, calls[index])
+        def submit(index: int) -> Future[_Answer]:
+            try:
+                future = self.executor.submit(_marked, settings, trust, function, calls[index])
+            except RuntimeError as error:  # it was shut down
+                raise BrokenExecutor(str(error)) from error
+            if not isinstance(future, Future):
+                raise ExecutionError(f"{self.place} returns a {type(future).__name__}, which is no Future")
+            return future
 
-        slots = min(self.in_flight, len(calls))
         check = None if self.check is None else partial(self.check, on_event)
         try:
             with one_opencv_thread():  # its workers may be threads
-                results, _ = run_calls(submit, [None] * len(calls), slots, stage, on_event, check)
+                results = run_calls(submit, len(calls), self.in_flight, stage, on_event, check)
         except self.broken as error:
             detail = f"{type(error).__name__}: {error}".removesuffix(": ")
             raise ExecutionError(f"{self.place} is lost, or its workers are ({detail})") from error
-        return CallResults(results, [None] * len(calls))
+        if not all(isinstance(result, _Answer) for result in results):
+            raise ExecutionError(f"{self.place} returns other results than those of the calls: check it")
+        return [result.value for result in results]
 
 
 CONNECT_S: Final = 3.0

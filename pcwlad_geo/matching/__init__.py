@@ -1,9 +1,5 @@
-"""From arrays to tie points, without files and CRS; here what options name, without arrays."""
+"""From arrays to tie points, without files and CRS; `__init__.pyi` lists what the other rooms use of it."""
 
-from __future__ import annotations
+import lazy_loader
 
-from typing import Literal
-
-Method = Literal["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
-Keypoints = Literal["cells", "strongest"]
-Consensus = Literal["auto", "off"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

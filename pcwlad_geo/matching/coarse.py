@@ -1,19 +1,12 @@
-"""Coarse match: the integer offset of highest structural similarity (SSIM), and how it stands out.
-
-References
-----------
-.. [1] Wang, Z. et al. (2004), doi:10.1109/TIP.2003.819861: luminance, contrast and structure; the
-   exponents are those of the PCWLAD paper (eq. 3-4).
-"""
+"""Coarse match: the integer offset of highest structural similarity (SSIM), and how it stands out."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcwlad_geo.matching.kernels.library import (
     POINTER,
@@ -25,18 +18,9 @@ from pcwlad_geo.matching.kernels.library import (
     in_threads,
     roots_of_unity,
 )
-from pcwlad_geo.types import Bool, Float32, Float64, Index
+from pcwlad_geo.matching.paper import PAPER
+from pcwlad_geo.types import Bool, Float32, Float64, Floating, Index
 
-LUMINANCE_EXPONENT: Final = 0.5
-"""Exponent α of the luminance term in the SSIM of the paper (eq. 3-4)."""
-CONTRAST_EXPONENT: Final = 0.8
-"""Exponent β of the contrast term in the SSIM of the paper (eq. 3-4)."""
-STRUCTURE_EXPONENT: Final = 1.3
-"""Exponent γ of the structure term in the SSIM of the paper (eq. 3-4)."""
-C_LUMINANCE: Final = 0.01**2
-"""C₁ stabilises the luminance term of the SSIM where both means are near 0 (maps have a range of 1)."""
-C_CONTRAST: Final = 0.03**2
-"""C₂ stabilises the contrast term of the SSIM where both windows are flat; half of it the structure term."""
 PEAK_CLEARANCE_PX: Final = 3
 """Offsets within this distance of the peak, per axis, belong to it and are not taken for the second peak."""
 
@@ -80,15 +64,14 @@ def match_coarsely(
 ) -> CoarseMatches:
     """Find the offset of highest SSIM within a radius for each corner.
 
-    The maps have the same shape; the (n, 2) intp `corners_rc` are row, column of corners whose template, an
-    odd number of px wide, lies inside the maps with the search around it. A share of `least_valid` of it must
-    be valid in both maps, and the offset is at most `radius_px` per axis. The result does not depend on the
-    `threads`. Raises `ValueError` if a search leaves the maps.
+    The maps have the same shape; the (n, 2) intp `corners_rc` (row, col) have templates of an odd number of
+    px, of which a share of `least_valid` must be valid in both maps. The offset is at most `radius_px` per
+    axis. The `threads` do not change the result. Raises `ValueError` if a search leaves the maps.
     """
     n, reach = len(corners_rc), template_px // 2 + radius_px
     if ((corners_rc < reach) | (corners_rc >= np.array(reference.values.shape) - reach)).any():
         raise ValueError(f"a corner lies less than {reach} px from the edge of the maps")
-    found = CoarseMatches(
+    matches = CoarseMatches(
         np.zeros((n, 2), np.intp), np.full(n, -1.0), np.zeros(n), np.zeros(n, bool), np.zeros((n, 2))
     )
     at_once = max(1, min(16, 10_000 // (2 * radius_px + 1) ** 2))  # values that stay in the processor's cache
@@ -96,32 +79,32 @@ def match_coarsely(
     def match_some(first: int) -> None:
         search = _SsimSearch(reference, target, template_px, radius_px, least_valid)
         for begin in range(first * at_once, n, threads * at_once):
-            some = np.arange(begin, min(begin + at_once, n))
-            surfaces = search.surfaces(corners_rc[some])
+            index = np.arange(begin, min(begin + at_once, n))
+            surfaces = search.surfaces(corners_rc[index])
             compared = surfaces.max(axis=(1, 2)) > -1.0
             if compared.any():
-                _fill_peaks(surfaces[compared], some[compared], found)
+                _fill_peaks(surfaces[compared], index[compared], matches)
 
     in_threads([partial(match_some, first) for first in range(threads)], threads)
-    return found
+    return matches
 
 
-def _fill_peaks(surfaces: Float32, index: Index, found: CoarseMatches) -> None:
+def _fill_peaks(surfaces: Float32, index: Index, matches: CoarseMatches) -> None:
     """Fill in the peaks of (n, side, side) surfaces at the indices of their corners."""
     side = surfaces.shape[1]
     row, col = np.divmod(surfaces.reshape(len(surfaces), -1).argmax(axis=1), side)
-    found.offset_rc[index] = np.stack([row, col], axis=1) - side // 2
-    found.shift_xy_px[index] = found.offset_rc[index, ::-1]
-    found.ssim[index] = surfaces[np.arange(len(surfaces)), row, col]
-    found.at_border[index] = np.minimum.reduce([row, col, side - 1 - row, side - 1 - col]) == 0
+    matches.offset_rc[index] = np.stack([row, col], axis=1) - side // 2
+    matches.shift_xy_px[index] = matches.offset_rc[index, ::-1]
+    matches.ssim[index] = surfaces[np.arange(len(surfaces)), row, col]
+    matches.at_border[index] = np.minimum.reduce([row, col, side - 1 - row, side - 1 - col]) == 0
     for place, surface, r, c in zip(index, surfaces, row, col, strict=True):
-        if not found.at_border[place]:
+        if not matches.at_border[place]:
             across, down = surface[r, c - 1 : c + 2], surface[r - 1 : r + 2, c]
-            found.shift_xy_px[place] += parabola_top(across), parabola_top(down)
-    found.distinctness[index] = peak_distinctness(surfaces, row, col)
+            matches.shift_xy_px[place] += parabola_top(across), parabola_top(down)
+    matches.distinctness[index] = peak_distinctness(surfaces, row, col)
 
 
-def parabola_top(values: NDArray[np.floating[Any]]) -> float:
+def parabola_top(values: Floating) -> float:
     """Return the offset of the top of the parabola through the (3,) `values`, middle one largest: ±0.5."""
     before, peak, after = values.tolist()
     if min(before, after) < 0.0:  # not comparable, or a ridge beside a gap
@@ -145,11 +128,11 @@ def peak_distinctness(surfaces: Float32, row: Index, col: Index) -> Float64:
     peak = surfaces[np.arange(n), row, col].astype(np.float64)
     # of an odd number of values, as a search window has; np.median takes six times as long
     median = np.partition(surfaces.reshape(n, size), size // 2, axis=1)[:, size // 2].astype(np.float64)
-    others = surfaces.copy()
+    cleared = surfaces.copy()
     k = PEAK_CLEARANCE_PX
-    for plane, r, c in zip(others, row, col, strict=True):
+    for plane, r, c in zip(cleared, row, col, strict=True):
         plane[max(r - k, 0) : r + k + 1, max(c - k, 0) : c + k + 1] = -np.inf
-    second = np.maximum(others.max(axis=(1, 2)), median)
+    second = np.maximum(cleared.max(axis=(1, 2)), median)
     height = peak - median
     return np.where(height > 0, (peak - second) / np.where(height > 0, height, 1.0), 0.0)
 
@@ -191,10 +174,10 @@ class _SsimSearch:
         """
         side = 2 * self.radius + 1
         corners, sums = np.ascontiguousarray(corners_rc, np.int64), np.empty((len(corners_rc), 6, side, side))
-        maps = [part for each in (self.reference, self.target) for part in (each.values, each.valid)]
+        maps = [part for plane in (self.reference, self.target) for part in (plane.values, plane.valid)]
         types = (*4 * [POINTER], WHOLE, POINTER, *4 * [WHOLE], POINTER, REAL, POINTER, POINTER)
         function("correlation_sums", *types)(
-            *(address(each, np.float32) for each in maps),
+            *(address(plane, np.float32) for plane in maps),
             maps[0].shape[1],
             address(corners, np.int64),
             len(corners),
@@ -223,13 +206,13 @@ def _combine(
 ) -> Float64:
     """Return luminance^α · contrast^β · structure^γ, the sign of the structure kept."""
     deviation = np.sqrt(var_f * var_s)
-    luminance = (2 * mean_f * mean_s + C_LUMINANCE) / (mean_f**2 + mean_s**2 + C_LUMINANCE)
-    contrast = (2 * deviation + C_CONTRAST) / (var_f + var_s + C_CONTRAST)
-    structure = (covariance + C_CONTRAST / 2) / (deviation + C_CONTRAST / 2)
+    luminance = (2 * mean_f * mean_s + PAPER.c_luminance) / (mean_f**2 + mean_s**2 + PAPER.c_luminance)
+    contrast = (2 * deviation + PAPER.c_contrast) / (var_f + var_s + PAPER.c_contrast)
+    structure = (covariance + PAPER.c_contrast / 2) / (deviation + PAPER.c_contrast / 2)
     result: Float64 = (
-        luminance**LUMINANCE_EXPONENT
-        * contrast**CONTRAST_EXPONENT
+        luminance**PAPER.luminance_exponent
+        * contrast**PAPER.contrast_exponent
         * np.sign(structure)
-        * np.abs(structure) ** STRUCTURE_EXPONENT
+        * np.abs(structure) ** PAPER.structure_exponent
     )
     return result

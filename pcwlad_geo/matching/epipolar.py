@@ -16,33 +16,43 @@ from scipy.special import gammaln
 
 from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.matching.outliers import CLUSTER_SPREAD, NARROW_PX, NEIGHBOURS
-from pcwlad_geo.matching.shift_search import evidence_against_chance
+from pcwlad_geo.matching.chance import evidence_against_chance
+from pcwlad_geo.matching.clusters import CLUSTERS
+from pcwlad_geo.matching.outliers import OUTLIERS
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
 
-TOLERANCE_PX: Final = 1.0
-"""Largest distance of a match from its epipolar line."""
-MIN_TOLERANCE_PX: Final = 0.25
-"""Least limit of that distance."""
-SCATTERS: Final = 5.0
-"""The limit is this many times the robust scatter of the matches about their lines."""
-SUPPORT: Final = 3
-"""Least number of neighbours of about the same depth, as along its line nothing else holds a match."""
-SAMPLE: Final = 7
-"""Number of matches that determine a fundamental matrix."""
-MIN_EPIPOLAR_MATCHES: Final = 24
-"""Least number of matches of an epipolar geometry."""
-OFF_PLANE_PX: Final = 2.0
-"""Distance from the position that one plane gives, from which a match tells something of its depth."""
-LARGE_SHARE: Final = 0.05
-"""Least share of the matches that a smooth displacement rejects, and an epipolar geometry takes back."""
-SEVERAL_DEPTHS: Final = 0.25
-"""Least share of these with another parallax than the median one: clouds that moved have one and the same."""
-CELL_PER_WINDOW: Final = 0.75
-"""Side of the cells that count as independent, in window sides."""
-CHANCE_FACTOR: Final = 2.0
-"""Factor on the chance of agreement, as matches of unrelated images are not uniform over the search."""
+
+@dataclass(frozen=True, slots=True)
+class EpipolarParameters:
+    """When matches lie on epipolar lines, and how clearly these show parallax."""
+
+    tolerance_px: float = 1.0
+    """Largest distance of a match from its epipolar line."""
+    least_tolerance_px: float = 0.25
+    """Least limit of that distance."""
+    scatters: float = 5.0
+    """The limit in robust scatters of the matches about their lines."""
+    support: int = 3
+    """Least number of neighbours of about the same depth: along its line nothing else holds a match."""
+    sample: int = 7
+    """Number of matches that determine a fundamental matrix."""
+    least_matches: int = 24
+    """Least number of matches of an epipolar geometry."""
+    off_plane_px: float = 2.0
+    """Distance from where one plane puts a match, from which it tells something of its depth."""
+    large_share: float = 0.05
+    """Least share of the matches that a smooth displacement rejects, and lines take back."""
+    several_depths: float = 0.25
+    """Least share of these with another parallax than the median one: clouds that moved have one."""
+    cell_per_window: float = 0.75
+    """Side of the cells that count as independent, in window sides."""
+    chance_factor: float = 2.0
+    """Factor on the chance of agreement: matches of unrelated images are not uniform over the search."""
+
+
+EPIPOLAR: Final = EpipolarParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,25 +66,22 @@ class EpipolarGeometry:
     def of(reference_xy_px: Float64, target_xy_px: Float64) -> EpipolarGeometry | None:
         """Fit the geometry to matches robustly, by MAGSAC++ [1]_ of OpenCV; None where none is found.
 
-        Parameters
-        ----------
-        reference_xy_px, target_xy_px : (n, 2) array
-            Positions (col, row).
+        The (n, 2) `reference_xy_px` and the (n, 2) `target_xy_px` are (col, row).
 
         References
         ----------
         .. [1] Barath, D., Noskova, J., Ivashechkin, M., Matas, J. (2020), doi:10.1109/CVPR42600.2020.00138.
         """
-        if len(reference_xy_px) < MIN_EPIPOLAR_MATCHES:
+        if len(reference_xy_px) < EPIPOLAR.least_matches:
             return None
         # about the middle: products of pixel coordinates lose digits
         middle = reference_xy_px.mean(axis=0)
         matrix, _ = cv2.findFundamentalMat(reference_xy_px - middle, target_xy_px - middle, _sampling())
         if matrix is None or matrix.shape != (3, 3) or not np.isfinite(matrix).all():
             return None
-        back = np.array([[1.0, 0.0, -middle[0]], [0.0, 1.0, -middle[1]], [0.0, 0.0, 1.0]])
-        found = back.T @ np.asarray(matrix, np.float64) @ back
-        return EpipolarGeometry(found / np.linalg.norm(found))
+        to_middle = np.array([[1.0, 0.0, -middle[0]], [0.0, 1.0, -middle[1]], [0.0, 0.0, 1.0]])
+        fundamental = to_middle.T @ np.asarray(matrix, np.float64) @ to_middle
+        return EpipolarGeometry(fundamental / np.linalg.norm(fundamental))
 
     def distance_px(self, reference_xy_px: Float64, target_xy_px: Float64) -> Float64:
         """Return the (n,) signed distances of targets from their epipolar lines.
@@ -111,84 +118,76 @@ def on_their_lines(points: TiePoints) -> Bool:
 def parallax_evidence(points: TiePoints, planar: Bool, window_px: int) -> float:
     """Return how clearly the matches show parallax rather than errors, -log10 of a probability; else 0.
 
-    Counted are places (cells of 0.75 windows) whose matches a smooth displacement rejects, though some of
-    their neighbours have moved like them, and which lie more than 2 px from where one plane puts them: wrong
-    matches are displaced from there in any direction, and come within a tolerance of a line by chance. Two of
-    them determine the lines beside the plane. It is 0 where they are few, or of one and the same parallax, as
-    is a layer of clouds that moved. The `points` are all matches, each found on its own, and the (n,) bool
-    array `planar` tells those that agree with their neighbours.
+    Counted are cells whose matches a smooth displacement rejects, though some of their neighbours have moved
+    like them, and which lie clearly off one plane: wrong matches do so in any direction, and come near a line
+    by chance. Two of them determine the lines beside the plane. It is 0 where they are few, or of one and the
+    same parallax, as a layer of clouds that moved. The `points` are all matches, each of its own, of which
+    the (n,) bool array `planar` marks those that agree with their neighbours.
     """
     geometry = _geometry_of(points)
     plane = plane_residual_px(points.reference_xy_px, points.target_xy_px, planar)
     if geometry is None or plane is None:
         return 0.0
     size, on_line = np.hypot(*plane.T), _near(points, geometry)
-    off = ~planar & (size > OFF_PLANE_PX) & _supported(points, np.ones(len(points), bool))
+    off = ~planar & (size > EPIPOLAR.off_plane_px) & _supported(points, np.ones(len(points), bool))
     regained = off & _supported(points, on_line)
-    if regained.sum() < max(LARGE_SHARE * (regained | (planar & on_line)).sum(), SUPPORT):
+    if regained.sum() < max(EPIPOLAR.large_share * (regained | (planar & on_line)).sum(), EPIPOLAR.support):
         return 0.0
     typical = np.median(plane[regained], axis=0)
-    others = np.hypot(*(plane[regained] - typical).T) > CLUSTER_SPREAD * np.hypot(*typical)
-    if others.mean() < SEVERAL_DEPTHS:
+    differs = np.hypot(*(plane[regained] - typical).T) > CLUSTERS.spread * np.hypot(*typical)
+    if differs.mean() < EPIPOLAR.several_depths:
         return 0.0
     cell = _cells(points.reference_xy_px[off], window_px)
     count = np.bincount(cell)
-    by_chance = 2 / np.pi * np.arcsin(np.minimum(1.0, TOLERANCE_PX / size[off]))
+    by_chance = 2 / np.pi * np.arcsin(np.minimum(1.0, EPIPOLAR.tolerance_px / size[off]))
     agreeing = int((np.bincount(cell, on_line[off]) >= 0.5 * count).sum())
     # Hoeffding (1956): trials of different probabilities succeed no oftener than as many of the mean one
     chance = float((np.bincount(cell, by_chance) / count).mean())
     pairs = len(count) * (len(count) - 1) / 2
     if agreeing <= 2:
         return 0.0
-    found = evidence_against_chance(agreeing - 2, len(count) - 2, min(0.5, chance))
-    return max(0.0, found - float(np.log10(pairs)))
+    evidence = evidence_against_chance(agreeing - 2, len(count) - 2, min(0.5, chance))
+    return max(0.0, evidence - float(np.log10(pairs)))
 
 
 def epipolar_evidence(points: TiePoints, window_px: int, radius_px: int) -> float:
     """Return -log10 of the expected number of epipolar geometries that unrelated images fit as well.
 
-    The a contrario test of Moisan and Stival [1]_, of cells of 0.75 windows instead of single matches.
-
-    Parameters
-    ----------
-    points : TiePoints
-        All matches, each found on its own.
-    window_px : int
-        Side of the matching window.
-    radius_px : int
-        Radius of the search.
+    The a contrario test of Moisan and Stival [1]_, of cells of 0.75 windows instead of single matches. The
+    `points` are all matches, each of its own, with a window of `window_px` and a search of `radius_px`.
 
     References
     ----------
     .. [1] Moisan, L., Stival, B. (2004), doi:10.1023/B:VISI.0000013094.38752.54.
     """
-    kept = on_their_lines(points)
-    if not kept.any():
+    on_line = on_their_lines(points)
+    if not on_line.any():
         return 0.0
     cell = _cells(points.reference_xy_px, window_px)
     count = np.bincount(cell)
-    places, agreeing = len(count), int((np.bincount(cell, kept) >= 0.5 * count).sum())
-    if agreeing <= SAMPLE:
+    places, agreeing = len(count), int((np.bincount(cell, on_line) >= 0.5 * count).sum())
+    if agreeing <= EPIPOLAR.sample:
         return 0.0
     side = 2 * radius_px + 1
-    chance = min(0.5, CHANCE_FACTOR * 2 * TOLERANCE_PX * np.sqrt(2) / side)
-    tests = np.log10(places - SAMPLE) + _log10_choose(places, agreeing) + _log10_choose(agreeing, SAMPLE)
-    return max(0.0, -float(tests) - (agreeing - SAMPLE) * float(np.log10(chance)))
+    chance = min(0.5, EPIPOLAR.chance_factor * 2 * EPIPOLAR.tolerance_px * np.sqrt(2) / side)
+    sample = EPIPOLAR.sample
+    tests = np.log10(places - sample) + _log10_choose(places, agreeing) + _log10_choose(agreeing, sample)
+    return max(0.0, -float(tests) - (agreeing - sample) * float(np.log10(chance)))
 
 
-def plane_residual_px(reference_xy_px: Float64, target_xy_px: Float64, kept: Bool) -> Float64 | None:
+def plane_residual_px(reference_xy_px: Float64, target_xy_px: Float64, mask: Bool) -> Float64 | None:
     """Return (n, 2) target positions less those of one plane; None where none is found.
 
     The plane, a homography between two perspective views, is fitted robustly to the matches of the (n,) mask
-    `kept`, at the (n, 2) `reference_xy_px` and `target_xy_px`, (n, 2), both (col, row).
+    `mask`, at the (n, 2) `reference_xy_px` and `target_xy_px`, (n, 2), both (col, row).
     """
-    if np.count_nonzero(kept) < MIN_EPIPOLAR_MATCHES:
+    if np.count_nonzero(mask) < EPIPOLAR.least_matches:
         return None
-    matrix = plane_of(reference_xy_px[kept], target_xy_px[kept])
+    matrix = plane_of(reference_xy_px[mask], target_xy_px[mask])
     if matrix is None:
         return None
-    moved = np.column_stack([reference_xy_px, np.ones(len(reference_xy_px))]) @ matrix.T
-    return target_xy_px - moved[:, :2] / moved[:, 2:]
+    on_plane = np.column_stack([reference_xy_px, np.ones(len(reference_xy_px))]) @ matrix.T
+    return target_xy_px - on_plane[:, :2] / on_plane[:, 2:]
 
 
 def plane_of(reference_xy_px: Float64, target_xy_px: Float64) -> Float64 | None:
@@ -201,14 +200,14 @@ def plane_of(reference_xy_px: Float64, target_xy_px: Float64) -> Float64 | None:
     if matrix is None or not np.isfinite(matrix).all():
         return None
     to_middle = np.array([[1.0, 0.0, -middle[0]], [0.0, 1.0, -middle[1]], [0.0, 0.0, 1.0]])
-    found = inverse(to_middle) @ np.asarray(matrix, np.float64) @ to_middle
-    return np.asarray(found / found[2, 2])
+    homography = inverse(to_middle) @ np.asarray(matrix, np.float64) @ to_middle
+    return np.asarray(homography / homography[2, 2])
 
 
 def _sampling() -> cv2.UsacParams:
     """Return the settings of the robust fits; the same matches always give the same geometry."""
     settings = cv2.UsacParams()
-    settings.threshold, settings.confidence = TOLERANCE_PX, 0.9999
+    settings.threshold, settings.confidence = EPIPOLAR.tolerance_px, 0.9999
     settings.maxIterations, settings.randomGeneratorState = 20000, 1
     settings.score, settings.loMethod = cv2.SCORE_METHOD_MAGSAC, cv2.LOCAL_OPTIM_SIGMA
     settings.final_polisher = cv2.MAGSAC
@@ -227,34 +226,34 @@ def _geometry_of(points: TiePoints) -> EpipolarGeometry | None:
 
 def _near(points: TiePoints, geometry: EpipolarGeometry) -> Bool:
     distance = np.abs(geometry.distance_px(points.reference_xy_px, points.target_xy_px))
-    inner = distance[distance < TOLERANCE_PX]
-    if len(inner) < MIN_EPIPOLAR_MATCHES:
+    inner = distance[distance < EPIPOLAR.tolerance_px]
+    if len(inner) < EPIPOLAR.least_matches:
         return np.zeros(len(points), bool)
     return np.asarray(distance < largest_distance_px(inner))
 
 
 def largest_distance_px(distance_px: Float64) -> float:
     """Return how far a match may lie off its epipolar line, by (n,) `distance_px` of those in question."""
-    limit = SCATTERS * SIGMA_OF_MEDIAN * float(np.median(distance_px))
-    return float(np.clip(limit, MIN_TOLERANCE_PX, TOLERANCE_PX))
+    limit = EPIPOLAR.scatters * SIGMA_OF_MEDIAN * float(np.median(distance_px))
+    return float(np.clip(limit, EPIPOLAR.least_tolerance_px, EPIPOLAR.tolerance_px))
 
 
 def _supported(points: TiePoints, on_line: Bool) -> Bool:
     """Leave those of the matches that enough of their nearest neighbours among them have moved like."""
     index = np.flatnonzero(on_line)
     result = np.zeros_like(on_line)
-    if len(index) <= SUPPORT:
+    if len(index) <= EPIPOLAR.support:
         return result
-    xy, moved = points.reference_xy_px[index], points.displacement_px[index]
-    _, neighbours = cKDTree(xy).query(xy, k=min(NEIGHBOURS + 1, len(index)))
-    distance = np.linalg.norm(moved[neighbours[:, 1:]] - moved[:, None], axis=2)
-    result[index] = (distance < NARROW_PX).sum(axis=1) >= SUPPORT
+    xy, displacement = points.reference_xy_px[index], points.displacement_px[index]
+    _, neighbours = cKDTree(xy).query(xy, k=min(OUTLIERS.neighbours + 1, len(index)))
+    distance = np.linalg.norm(displacement[neighbours[:, 1:]] - displacement[:, None], axis=2)
+    result[index] = (distance < OUTLIERS.narrow_px).sum(axis=1) >= EPIPOLAR.support
     return result
 
 
 def _cells(xy_px: Float64, window_px: int) -> Index:
     """Return the (n,) number of the cell of each position."""
-    place = np.floor(xy_px / (CELL_PER_WINDOW * window_px)).astype(np.intp)
+    place = np.floor(xy_px / (EPIPOLAR.cell_per_window * window_px)).astype(np.intp)
     return np.unique(place, axis=0, return_inverse=True)[1].ravel()
 
 

@@ -14,24 +14,6 @@ from pcwlad_geo.estimation.solving import least_squares, pseudo_inverse
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
 from pcwlad_geo.types import Float64, Index
 
-SIMPLER_WITHIN_PX: Final = 0.02
-"""A simpler surface is preferred unless its prediction error is larger by more than this; a third of the
-difference would reach the tie points."""
-EXCLUSION: Final = 0.75
-"""Neighbours nearer than this share of the window see the same pixels and are not independent."""
-NEIGHBOUR_CORRELATION: Final = 0.6
-"""Mean correlation of the errors of points that are less than a window apart."""
-ROUGH_SCATTERS: Final = 3.0
-"""The field is too rough where independent neighbours err by more than this many times the scatter of the
-nearest points."""
-ROUGH_FROM_PX: Final = 0.15
-"""The field is never called too rough where independent neighbours err by less than this."""
-MAX_NEIGHBOURS: Final = 384
-"""Largest number of neighbours that a surface is fitted to. Of more neighbours every k-th is taken, as its
-window shares pixels with those between."""
-SAMPLE: Final = 400
-"""Largest number of points that are compared with the prediction of their neighbours."""
-
 
 @dataclass(frozen=True, slots=True)
 class Surface:
@@ -43,17 +25,32 @@ class Surface:
     """1: a plane, 2: a quadratic surface."""
 
 
-SURFACES: Final = (
-    Surface(3072, 1),
-    Surface(768, 1),
-    Surface(768, 2),
-    Surface(192, 1),
-    Surface(384, 2),
-    Surface(192, 2),
-    Surface(48, 1),
-    Surface(96, 2),
-)
-"""Surfaces to choose from, the simplest first: that with the most neighbours for each of its parameters."""
+@dataclass(frozen=True, slots=True)
+class FieldParameters:
+    """How the displacement field between tie points is predicted."""
+
+    simpler_within_px: float = 0.02
+    """A simpler surface may err by so much more than the best; a third of it would reach the tie points."""
+    exclusion: float = 0.75
+    """Neighbours nearer than this share of the window see the same pixels."""
+    correlation: float = 0.6
+    """Mean correlation of the errors of points that are less than a window apart."""
+    rough_scatters: float = 3.0
+    """A field is too rough where independent neighbours err by so many scatters of the nearest points."""
+    rough_from_px: float = 0.15
+    """Least such error of a field that is too rough."""
+    most_neighbours: int = 384
+    """Largest number of neighbours of a surface. Of more, every k-th is taken: windows share pixels."""
+    sample: int = 400
+    """Largest number of points that are compared with the prediction of their neighbours."""
+    surfaces: tuple[tuple[int, int], ...] = (
+        *((3072, 1), (768, 1), (768, 2), (192, 1), (384, 2), (192, 2), (48, 1), (96, 2)),
+    )
+    """Counts and orders of the surfaces to choose from, the simplest first."""
+
+
+FIELD: Final = FieldParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +81,7 @@ class Prediction:
     def concatenate(parts: Sequence[Prediction]) -> Prediction:
         """Return the predictions at the places of all parts, in their order."""
         return Prediction(
-            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Prediction))
+            *(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(Prediction))
         )
 
 
@@ -96,12 +93,12 @@ def predict(
     The tie points have (m, 2) positions `xy_px` and (m, 2) displacements `displacement_px` (col, row). The
     (n, 2) `at_xy_px` are the places, which the `threads` share; the result is of shape (n, 2).
     """
-    others, moved, thinned = _thinned(xy_px, displacement_px, surface)
-    tree = cKDTree(others)
-    step = max(1, 2_000_000 // max(min(len(others), thinned.count), 1))  # limits the memory
+    thinned_xy, thinned_displacement, thinned = _thinned(xy_px, displacement_px, surface)
+    tree = cKDTree(thinned_xy)
+    step = max(1, 2_000_000 // max(min(len(thinned_xy), thinned.count), 1))  # limits the memory
     parts = [
         _NeighbourSearch.of(tree, at_xy_px[begin : begin + step], thinned.count, threads=threads).predict(
-            moved, thinned
+            thinned_displacement, thinned
         )
         for begin in range(0, max(len(at_xy_px), 1), step)
     ]
@@ -115,20 +112,21 @@ def choose_surface(xy_px: Float64, displacement_px: Float64, window_px: int, thr
     within a matching window, `window_px` wide, are not independent.
     """
     n = len(xy_px)
-    candidates = [surface for surface in SURFACES if surface.count < n] or [Surface(n, 1)]
+    candidates = [Surface(count, order) for count, order in FIELD.surfaces if count < n] or [Surface(n, 1)]
     residuals = _against_neighbours(xy_px, displacement_px, window_px, candidates, threads)
     errors = [_typical(residual) for residual, _ in residuals]
-    chosen = next((i for i, error in enumerate(errors) if error <= min(errors) + SIMPLER_WITHIN_PX), -1)
-    residual, share = residuals[chosen]
-    smooth = errors[chosen] <= max(ROUGH_FROM_PX, ROUGH_SCATTERS * _nearest_scatter(xy_px, displacement_px))
-    return Choice(candidates[chosen], residual * share[:, None], smooth)
+    best = next((i for i, error in enumerate(errors) if error <= min(errors) + FIELD.simpler_within_px), -1)
+    residual, share = residuals[best]
+    rough_px = FIELD.rough_scatters * _nearest_scatter(xy_px, displacement_px)
+    smooth = errors[best] <= max(FIELD.rough_from_px, rough_px)
+    return Choice(candidates[best], residual * share[:, None], smooth)
 
 
 def _nearest_scatter(xy: Float64, displacement: Float64) -> float:
     """Return the typical distance of a displacement from the median of its nearest neighbours."""
-    sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
-    _, near = cKDTree(xy).query(xy[sample], k=np.arange(1, min(12, len(xy)) + 1))
-    return _typical(displacement[sample] - np.median(displacement[near], axis=1))
+    sample = np.unique(np.linspace(0, len(xy) - 1, min(FIELD.sample, len(xy))).astype(np.intp))
+    _, neighbours = cKDTree(xy).query(xy[sample], k=np.arange(1, min(12, len(xy)) + 1))
+    return _typical(displacement[sample] - np.median(displacement[neighbours], axis=1))
 
 
 def independent_residual(
@@ -137,14 +135,12 @@ def independent_residual(
     """Compare a sample of points with the prediction of neighbours that share no pixels with them.
 
     For the (m, 2) positions `xy_px` and displacements `displacement_px` (col, row), return the (m, 2)
-    displacement minus the prediction of the surface, px, scaled down by the expected error of the prediction:
-    as large as the point's own error, NaN outside the sample and where there are no such neighbours. The
-    second result is the typical share of the point's own error in the variance of the difference before that,
-    0 to 1.
+    displacement minus the prediction, px, scaled to the size of the point's own error, NaN outside the sample
+    and without such neighbours, and the typical share of that error in the variance before, 0 to 1.
     """
     ((residual, share),) = _against_neighbours(xy_px, displacement_px, window_px, [surface])
-    known = share[np.isfinite(share)]
-    return residual * share[:, None], float(np.median(known**2)) if len(known) else 0.0
+    finite_share = share[np.isfinite(share)]
+    return residual * share[:, None], float(np.median(finite_share**2)) if len(finite_share) else 0.0
 
 
 def _against_neighbours(
@@ -154,49 +150,49 @@ def _against_neighbours(
 
     One pair for each of the surfaces; neighbours are searched once for all that use the same points.
     """
-    sample = np.unique(np.linspace(0, len(xy) - 1, min(SAMPLE, len(xy))).astype(np.intp))
+    sample = np.unique(np.linspace(0, len(xy) - 1, min(FIELD.sample, len(xy))).astype(np.intp))
     steps = {_step(surface) for surface in surfaces}
     searches = {
         step: _NeighbourSearch.of(
             cKDTree(xy[::step]),
             xy[sample],
             max(surface.count // step for surface in surfaces if _step(surface) == step),
-            EXCLUSION * window_px,
+            FIELD.exclusion * window_px,
             threads,
         )
         for step in steps
     }
     # points whose windows share pixels have correlated errors: together they say little more than one
-    alike = {
-        step: NEIGHBOUR_CORRELATION * search.typical_count(window_px / np.sqrt(np.pi))
+    correlated = {
+        step: FIELD.correlation * search.typical_count(window_px / np.sqrt(np.pi))
         for step, search in searches.items()
     }
-    found: list[tuple[Float64, Float64]] = []
+    comparisons: list[tuple[Float64, Float64]] = []
     for surface in surfaces:
-        _, moved, thinned = _thinned(xy, displacement, surface)
-        predicted = searches[_step(surface)].predict(moved, thinned)
+        _, thinned_displacement, thinned = _thinned(xy, displacement, surface)
+        predicted = searches[_step(surface)].predict(thinned_displacement, thinned)
         residual, share = np.full(xy.shape, np.nan), np.full(len(xy), np.nan)
         residual[sample] = displacement[sample] - predicted.displacement_px
-        share[sample] = 1 / np.sqrt(1 + predicted.leverage * alike[_step(surface)])
-        found.append((residual, share))
-    return found
+        share[sample] = 1 / np.sqrt(1 + predicted.leverage * correlated[_step(surface)])
+        comparisons.append((residual, share))
+    return comparisons
 
 
 def _thinned(xy: Float64, displacement: Float64, surface: Surface) -> tuple[Float64, Float64, Surface]:
-    """Return every k-th point, and the surface, so that it has at most `MAX_NEIGHBOURS` neighbours."""
+    """Return every k-th point, and the surface with as many fewer neighbours."""
     step = _step(surface)
     return xy[::step], displacement[::step], Surface(surface.count // step, surface.order)
 
 
 def _step(surface: Surface) -> int:
     """Return k, where every k-th point is used as a neighbour."""
-    return -(-surface.count // MAX_NEIGHBOURS)
+    return -(-surface.count // FIELD.most_neighbours)
 
 
 def _typical(residual: Float64) -> float:
     radial = np.hypot(residual[:, 0], residual[:, 1])
-    known = radial[np.isfinite(radial)]
-    return float(np.median(known)) if len(known) else np.inf
+    finite = radial[np.isfinite(radial)]
+    return float(np.median(finite)) if len(finite) else np.inf
 
 
 def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Float64]:
@@ -226,19 +222,16 @@ class _NeighbourSearch:
     """Points near each of n places, the nearest first."""
 
     tree: cKDTree
-    """Tree of all points."""
     at: Float64
     """(n, 2) places (col, row)."""
     distance: Float64
-    """(n, k) distances of the points found, px."""
     index: Index
-    """(n, k) indices of the points found."""
+    """(n, k) indices of the nearest points, of which `distance` is the distance, px."""
     excluded_px: float
     """Points nearer than this do not count."""
     nearer: int
     """Largest number of such points at a place."""
     threads: int
-    """Number of threads that share the places."""
 
     @staticmethod
     def of(
@@ -268,7 +261,7 @@ class _NeighbourSearch:
         n = len(self.at)
         out, slope = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
         scatter, leverage = np.full(n, np.nan), np.full(n, np.nan)
-        moved = np.ascontiguousarray(displacement, np.float64)
-        found = (out, slope, scatter, leverage)
-        fit_surfaces(self.tree.data, moved, self.at, index, usable, surface.order, *found, self.threads)
+        values = np.ascontiguousarray(displacement, np.float64)
+        outputs = (out, slope, scatter, leverage)
+        fit_surfaces(self.tree.data, values, self.at, index, usable, surface.order, *outputs, self.threads)
         return Prediction(out, slope, SIGMA_OF_MEDIAN_LENGTH * scatter, leverage)

@@ -5,22 +5,40 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.maps import EPSILON_OF_BYTE_RANGE
-from pcwlad_geo.types import Bool, Float32, Float64, Index
+from pcwlad_geo.matching.paper import PAPER
+from pcwlad_geo.types import Bool, Float32, Float64, Floating, Index
 
+
+@dataclass(frozen=True, slots=True)
+class CornerParameters:
+    """How corners are detected, and weighted by contrast."""
+
+    threshold: int = 2
+    """FAST threshold on the 8-bit map; it is low, since cells and ranking choose among the corners."""
+    least_contrast: float = 0.02
+    """Share of the scene's range below which local contrast counts as noise."""
+    detail_px: float = 3.0
+    """Sigma of the Gaussian that is subtracted to leave the local detail."""
+    neighbourhood_px: float = 8.0
+    """Sigma of the Gaussian over which the energy of the detail is averaged."""
+    most_deviation: float = 1e6
+    """Largest deviation from the mean, in least contrasts, so that its square stays finite."""
+    noise_margin: float = 1.2
+    """Factor on the noise energy that is subtracted, for its own scatter."""
+
+
+CORNERS: Final = CornerParameters()
+"""Those in use."""
+FULL_SCALE: Final = 0.5
+"""The map value that becomes 255; it is fixed, so that every tile of a scene has the same corners."""
 OUTCOMES: Final = (
-    "matched",
-    "not_comparable",
-    "not_similar",
-    "at_search_border",
-    "not_converged",
-    "directions_disagree",
+    *("matched", "not_comparable", "not_similar", "at_search_border", "not_converged", "directions_disagree"),
 )
 """Outcomes of a candidate: a match, or the stage that rejected it, in the order of the stages."""
 
@@ -33,6 +51,8 @@ class Candidates:
     """(n, 2) positions in the reference image (col, row), corner-based."""
     outcome: NDArray[np.uint8]
     """(n,) index into `OUTCOMES`."""
+    are_all: bool = True
+    """False where the first of them agreed, so that no others were searched."""
 
     def __len__(self) -> int:
         return len(self.outcome)
@@ -40,8 +60,7 @@ class Candidates:
     @property
     def lost(self) -> Candidates:
         """The candidates without a match."""
-        some = self.outcome > 0
-        return Candidates(self.reference_xy_px[some], self.outcome[some])
+        return self.part(self.outcome > 0)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -65,47 +84,26 @@ class Candidates:
     @staticmethod
     def concatenate(parts: Sequence[Candidates]) -> Candidates:
         """Return the candidates of all parts in their order."""
-        every = [Candidates.empty(), *parts]
-        return Candidates(
-            np.concatenate([part.reference_xy_px for part in every]),
-            np.concatenate([part.outcome for part in every]),
-        )
+        xy, outcome = [part.reference_xy_px for part in parts], [part.outcome for part in parts]
+        return Candidates(np.concatenate(xy), np.concatenate(outcome)) if parts else Candidates.empty()
 
 
-FULL_SCALE: Final = 0.5
-"""The map value that becomes 255; it is fixed, so that every tile of a scene finds the same corners."""
-THRESHOLD: Final = 2
-"""FAST threshold on the 8-bit map; it is low, since cells and ranking choose among the corners."""
-MIN_CONTRAST: Final = 0.02
-"""Share of the scene's range below which local contrast counts as noise."""
-DETAIL_PX: Final = 3.0
-"""Sigma of the Gaussian that is subtracted to leave the local detail."""
-NEIGHBOURHOOD_PX: Final = 8.0
-"""Sigma of the Gaussian over which the energy of the detail is averaged."""
-LARGEST: Final = 1e6
-"""Largest deviation from the mean, in units of the least contrast, so that its square stays finite."""
-NOISE_MARGIN: Final = 1.2
-"""Factor on the noise energy before it is subtracted, a margin for its own scatter."""
-
-
-def contrast_weight(
-    image: NDArray[np.floating[Any]], epsilon: float, noise_sigma: float = 0.0, least: float = 0.0
-) -> Float32:
+def contrast_weight(image: Floating, epsilon: float, noise_sigma: float = 0.0, least: float = 0.0) -> Float32:
     """Weight pixels by local contrast: near 0 where it is below a fiftieth of the scene's range, else near 1.
 
-    Phase congruency without noise filter finds corners in noise and quantisation as readily as in
-    structure; corners of real structure are to be preferred. The (rows, cols) `image` is finite; `epsilon` is
-    the scene's ε, which stands for its range (see `maps.scene_epsilon`). Noise of standard deviation
-    `noise_sigma` does not count as contrast. The weight is -1, as no corner may lie there, where the RMS of
-    the detail is at most `least`, in units of the image: it may be nothing but rounding. The result is a
-    (rows, cols) float32 array.
+    Phase congruency without noise filter has corners in noise and rounding, too. The (rows, cols) `image` is
+    finite; `epsilon` stands for the scene's range (see `maps.scene_epsilon`). Noise of standard deviation
+    `noise_sigma` is no contrast. Where the RMS of the detail is at most `least`, in units of the image, it
+    may be rounding: no corner may lie there, and the weight is -1. The result is a (rows, cols) float32
+    array.
     """
-    floor = max(MIN_CONTRAST * 255.0 / EPSILON_OF_BYTE_RANGE * epsilon, 1e-30)
-    scaled = np.clip((image - image.mean(dtype=np.float64)) / floor, -LARGEST, LARGEST).astype(np.float32)
-    detail = scaled - cv2.GaussianBlur(scaled, (0, 0), DETAIL_PX)
-    energy = cv2.GaussianBlur(np.square(detail), (0, 0), NEIGHBOURHOOD_PX)
+    floor = max(CORNERS.least_contrast * 255.0 / PAPER.byte_epsilon * epsilon, 1e-30)
+    most = CORNERS.most_deviation
+    scaled = np.clip((image - image.mean(dtype=np.float64)) / floor, -most, most).astype(np.float32)
+    detail = scaled - cv2.GaussianBlur(scaled, (0, 0), CORNERS.detail_px)
+    energy = cv2.GaussianBlur(np.square(detail), (0, 0), CORNERS.neighbourhood_px)
     rounding = energy <= np.float32((least / floor) ** 2) if least > 0 else None
-    energy = np.maximum(energy - np.float32(NOISE_MARGIN * (noise_sigma / floor) ** 2), 0)
+    energy = np.maximum(energy - np.float32(CORNERS.noise_margin * (noise_sigma / floor) ** 2), 0)
     weight: Float32 = energy / (energy + np.float32(1.0))
     if rounding is not None:
         weight[rounding] = -1
@@ -115,18 +113,17 @@ def contrast_weight(
 def detect_corners(moment: Float32, usable: Bool, weight: Float32) -> tuple[Index, Float32]:
     """Find FAST corners (type 9-16, non-maximum suppression).
 
-    The (rows, cols) float32 `moment` is that of the phase congruency, and `weight`, of its shape (rows,
-    cols), multiplies the response; corners lie where the (rows, cols) bool array `usable` is true. Return the
-    (n, 2) intp row and column of each corner, and its (n,) float32 FAST response times the weight.
+    Corners of the (rows, cols) `moment` lie where the (rows, cols) mask `usable` is true. Return their (n, 2)
+    row and column, and the (n,) FAST response times the (rows, cols) `weight`.
     """
     scaled = np.clip(moment * np.float32(255 / FULL_SCALE), 0, 255).astype(np.uint8)
-    detector = cv2.FastFeatureDetector.create(THRESHOLD, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
-    found = detector.detect(scaled)
-    places = np.array(cv2.KeyPoint.convert(found), np.float32).reshape(-1, 2)
+    detector = cv2.FastFeatureDetector.create(CORNERS.threshold, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
+    detected = detector.detect(scaled)
+    places = np.array(cv2.KeyPoint.convert(detected), np.float32).reshape(-1, 2)
     corners_rc = np.ascontiguousarray(places[:, ::-1].astype(np.intp))
-    kept = np.flatnonzero(usable[corners_rc[:, 0], corners_rc[:, 1]])
-    corners_rc = corners_rc[kept]
-    response = np.fromiter((found[index].response for index in kept.tolist()), np.float32, len(kept))
+    index = np.flatnonzero(usable[corners_rc[:, 0], corners_rc[:, 1]])
+    corners_rc = corners_rc[index]
+    response = np.fromiter((detected[k].response for k in index.tolist()), np.float32, len(index))
     return corners_rc, response * weight[corners_rc[:, 0], corners_rc[:, 1]]
 
 
@@ -157,13 +154,13 @@ def by_cell(
 
 
 def rank_in_cell(
-    corners_rc: Index, response: NDArray[np.floating[Any]], cell_px: int, origin_rc: tuple[int, int]
+    corners_rc: Index, response: Floating, cell_px: int, origin_rc: tuple[int, int]
 ) -> tuple[Index, Index]:
     """Sort corners by cell, the strongest of each cell first.
 
-    The (n, 2) intp `corners_rc` are row, column in a window whose first pixel is `origin_rc` of the scene, so
-    that the cells, `cell_px` wide, do not depend on the tile; the (n,) `response` ranks them. Return (n,)
-    intp indices that sort the corners, and the (n,) intp rank of each corner so sorted in its cell, from 0.
+    The (n, 2) `corners_rc` (row, col) are in a window whose first pixel is `origin_rc` of the scene, so that
+    the cells, `cell_px` wide, do not depend on the tile; the (n,) `response` ranks them. Return the (n,)
+    indices that sort the corners, and the (n,) rank of each corner so sorted in its cell, from 0.
     """
     cells = (corners_rc + np.asarray(origin_rc)) // cell_px
     order = np.lexsort((corners_rc[:, 1], corners_rc[:, 0], -response, cells[:, 1], cells[:, 0]))

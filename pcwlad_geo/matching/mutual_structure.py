@@ -9,84 +9,42 @@ input, the filter minimises
 
 by alternating exact steps: the local lines a, b for given images, then both images for given lines. So the
 energy cannot rise. Neighbourhoods are cut off at the border of the window.
-
-References
-----------
-.. [1] Shen, X. et al. (2015), Mutual-structure for joint filtering, doi:10.1109/ICCV.2015.389.
+It is that of Shen et al. (2015), see `paper`.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcwlad_geo.matching.coarse import ssim
 from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function
 from pcwlad_geo.matching.keypoints import FULL_SCALE
+from pcwlad_geo.matching.paper import PAPER, PaperParameters
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined
-from pcwlad_geo.types import Bool, Float32, Float64, Index
+from pcwlad_geo.types import Bool, Float32, Float64, Floating, Index
 
-ITERATIONS: Final = 20
-"""Number of alternating steps of the filter, as published [1]_."""
-RADIUS_PX: Final = 3
-"""Half side of the square neighbourhood, as published [1]_."""
-LAMBDA_REFERENCE: Final = 30.0
-"""λ_G, the weight of the filtered reference window's distance from its input, as published [1]_."""
-LAMBDA_TARGET: Final = 1.0
-"""λ_I, the weight of the filtered target window's distance from its input, as published [1]_."""
-EPSILON_REFERENCE: Final = 5e-4
-"""ε_G, the variance below which the reference window counts as flat, as published [1]_."""
-EPSILON_TARGET: Final = 1e-4
-"""ε_I, the variance below which the target window counts as flat, as published [1]_."""
-AROUND_PX: Final = 40
-"""Half side of what must be alike around a match, about the first window of refinement."""
-CHANCE_OFFSET_PX: Final = 24
-"""Offset (row and column) of the places that are alike by chance only, beyond the reach of the filters."""
-MORE_THAN_CHANCE: Final = 2.0
-"""Least correlation of a match, in standard deviations of those by chance."""
+CHUNK: Final = 128
+"""Number of windows that are filtered at once, which limits the memory."""
 
 
 def mutual_structure(
-    reference: NDArray[np.floating[Any]],
-    target: NDArray[np.floating[Any]],
-    *,
-    iterations: int = ITERATIONS,
-    radius: int = RADIUS_PX,
-    lambda_reference: float = LAMBDA_REFERENCE,
-    lambda_target: float = LAMBDA_TARGET,
-    epsilon_reference: float = EPSILON_REFERENCE,
-    epsilon_target: float = EPSILON_TARGET,
+    reference: Floating, target: Floating, paper: PaperParameters = PAPER
 ) -> tuple[Float64, Float64, Float64]:
     """Filter windows jointly and weight each pixel by the structure that both share.
 
-    Raises `ValueError` if the two shapes differ or are neither 2-D nor 3-D.
+    The windows `reference` and `target` are finite, (rows, cols) or (k, rows, cols), in a range of about 1,
+    which the numbers of the `paper` expect. Raises `ValueError` if the two shapes differ or are neither 2-D
+    nor 3-D.
 
-    Parameters
-    ----------
-    reference, target : (rows, cols) or (k, rows, cols) float array
-        Finite values in a range of about 1, which the published defaults expect.
-    iterations : int
-        Number of alternating steps; 0 returns the input and its own similarity.
-    radius : int
-        Half side of the neighbourhood, px.
-    lambda_reference, lambda_target : float
-        Weight of the distance of each filtered window from its input.
-    epsilon_reference, epsilon_target : float
-        Contrast (variance) below which a window counts as flat.
-
-    Returns
-    -------
-    filtered_reference, filtered_target : (rows, cols) or (k, rows, cols) array
-        Of the input's shape.
-    weight : (rows, cols) or (k, rows, cols) array
-        |ρ(filtered reference, target) · ρ(reference, filtered target)|, 0 to 1, from local correlations with
-        each variance raised by its epsilon: near 1 where structure is shared, inverted contrast included;
-        near 0 where it is not, or where it is flat. A filtered window is compared with the other input,
-        because the filter copies structure from the window of large λ into the other: the two filtered
-        windows correlate at 0.95 even where only the reference had an edge.
+    Returned are both filtered windows and a weight, of the input's shape, (rows, cols) or (k, rows, cols).
+    The weight is |ρ(filtered reference, target) · ρ(reference, filtered target)|, 0 to 1, from local
+    correlations with each variance raised by its epsilon: near 1 where structure is shared, inverted contrast
+    included. A filtered window is compared with the other input, because the filter copies structure from the
+    window of large λ into the other: two filtered windows correlate at 0.95 even where only the reference had
+    an edge.
     """
     if reference.shape != target.shape or reference.ndim not in (2, 3):
         raise ValueError(
@@ -101,15 +59,11 @@ def mutual_structure(
     memory = np.empty(14 * rows * cols + cols)
     function("filter_windows", *5 * [POINTER], *5 * [WHOLE], *4 * [REAL], POINTER)(
         *(address(windows, np.float64) for windows in (g0, i0, g, i, weight)),
-        *(count, rows, cols, iterations, radius),
-        *(lambda_reference, lambda_target, epsilon_reference, epsilon_target),
+        *(count, rows, cols, paper.filter_iterations, paper.filter_radius_px),
+        *(paper.lambda_reference, paper.lambda_target, paper.epsilon_reference, paper.epsilon_target),
         address(memory, np.float64),
     )
     return g.reshape(shape), i.reshape(shape), weight.reshape(shape)
-
-
-CHUNK: Final = 128
-"""Number of windows that are filtered at once, which limits the memory."""
 
 
 def shared_structure(pair: ChannelPair, corners_rc: Index, start: InitialEstimate, window_px: int) -> Float32:
@@ -150,54 +104,6 @@ def passes_paper(
         initial = ssim(reference / FULL_SCALE, before / FULL_SCALE)
         final = ssim(reference / FULL_SCALE, after / FULL_SCALE)
         result[part] = (final > gate) & (final > initial)
-    return result
-
-
-def significantly_correlated(pair: ChannelPair, corners_rc: Index, shift_xy_px: Float64) -> Bool:
-    """Return the (n,) mask of the matches around which the two images correlate more than by chance.
-
-    The (n, 2) `corners_rc` are pixels of the reference, `shift_xy_px` where they are in the target beside
-    that. The correlation of the maps around each is compared with those that the same places have with places
-    beside their matches.
-    """
-    whole = np.rint(shift_xy_px[:, ::-1]).astype(np.intp)
-    right, elsewhere = (
-        correlations(pair, corners_rc, corners_rc + whole + offset, AROUND_PX, 2)
-        for offset in (0, CHANCE_OFFSET_PX)
-    )
-    by_chance = float(np.sqrt(np.mean(elsewhere**2))) if len(elsewhere) else 0.0
-    return right > MORE_THAN_CHANCE * by_chance
-
-
-def correlations(
-    pair: ChannelPair, reference_rc: Index, target_rc: Index, half_px: int, step_px: int = 1
-) -> Float64:
-    """Return the (n,) correlations of the maps around pixels of the reference and of the target.
-
-    These are the (n, 2) `reference_rc` and the (n, 2) `target_rc` (row, col). The squares compared reach
-    `half_px` from their pixels, and consist of the pixels `step_px` apart.
-    """
-    steps = np.arange(-half_px, half_px + 1, step_px)
-    result = np.zeros(len(reference_rc))
-    for begin in range(0, len(reference_rc), CHUNK):
-        part = slice(begin, begin + CHUNK)
-        centred = []
-        for maps, centre_rc in (
-            (pair.reference.maps, reference_rc[part]),
-            (pair.target.maps, target_rc[part]),
-        ):
-            rows, cols = (
-                np.clip(centre[:, None] + steps, 0, length - 1)
-                for centre, length in zip(centre_rc.T, maps.shape[1:], strict=True)
-            )
-            values = maps[:, rows[:, :, None], cols[:, None, :]]
-            centred.append(values - values.mean(axis=(2, 3), keepdims=True))
-        reference, target = centred
-        both, first, second = (
-            np.einsum("knij,knij->n", one, other)
-            for one, other in ((reference, target), (reference, reference), (target, target))
-        )
-        result[part] = both / np.sqrt(np.maximum(first * second, np.finfo(np.float32).tiny))
     return result
 
 

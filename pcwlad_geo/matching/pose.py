@@ -17,14 +17,17 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from pcwlad_geo.estimation.solving import inverse, least_squares, solve
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.solving import SCALE, inverse, least_squares, solve
+from pcwlad_geo.matching.channels import normalised_channels
+from pcwlad_geo.matching.grey_values import Ranks, local_deviation
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.kernels.pose_search import (
     LAYER_HARMONICS,
@@ -33,16 +36,10 @@ from pcwlad_geo.matching.kernels.pose_search import (
     place_layer,
     weigh_by_overlap,
 )
-from pcwlad_geo.matching.maps import Ranks, local_deviation
-from pcwlad_geo.matching.shift_search import (
-    MIN_PATCHES,
-    Patches,
-    mapped,
-    normalised_channels,
-    ratio_in_place,
-    similarity_between,
-    window_sums,
-)
+from pcwlad_geo.matching.masked_correlation import ratio_in_place
+from pcwlad_geo.matching.patches import PARAMETERS as PATCHES
+from pcwlad_geo.matching.patches import Patches, window_sums
+from pcwlad_geo.matching.transforms import mapped, similarity_between
 from pcwlad_geo.types import Bool, Float32, Float64
 
 CORRELATION_CELLS: Final = 112
@@ -67,6 +64,8 @@ REFINED: Final = 16
 """Number of distinct poses that are tried again with finer steps."""
 FINE_CELLS: Final = 160
 """Longer side of the larger image, in cells of the correlation with finer steps."""
+REMEMBERED: Final = 8
+"""Number of resolutions at which the averaged harmonics of an image are remembered."""
 FINE_STEPS: Final = 3
 """Number of fine steps to a coarse one."""
 REACH_CELLS: Final = 3
@@ -303,6 +302,11 @@ class _Cells:
     """(3, 3) px of the image to cells, array indices."""
 
 
+_Layer: TypeAlias = tuple[list[Float32], Float64]
+"""Harmonics and then what is usable, as (rows, cols, 3 or 4) arrays of several of these planes, which are
+warped together, and the (3, 3) matrix from px."""
+
+
 @dataclass(slots=True, eq=False)
 class _PoseImage:
     """One image, with its channels at the resolutions that were asked for so far."""
@@ -310,6 +314,7 @@ class _PoseImage:
     values: Float32
     valid: Bool
     _levels: dict[int, tuple[Float32, Float32, Float64]] = field(default_factory=dict)
+    _averaged: dict[tuple[float, tuple[float, ...]], list[_Layer]] = field(default_factory=dict)
 
     @property
     def side_px(self) -> int:
@@ -345,33 +350,41 @@ class _PoseImage:
             linear = per_px * change
             from_px = _affine(linear, (np.array([cols, rows]) - 1) / 2 - linear @ middle_px)
             values = []
-            for planes, usable, to_map in layers:
+            for packed, to_map in layers:
                 warp = from_px @ inverse(to_map)
-                known = (_warped(usable, warp, (rows, cols)) > 0.5).astype(np.float32)
-                warped = np.stack([_warped(plane, warp, (rows, cols)) * known for plane in planes])
-                values.append(_turned(warped, angle_rad))
+                parts = (_warped(some, warp, (rows, cols)) for some in packed)
+                warped = np.concatenate([part.transpose(2, 0, 1) for part in parts])
+                known = (warped[-1] > 0.5).astype(np.float32)
+                values.append(_turned(warped[:-1] * known, angle_rad))
             spectra = _spectra(np.concatenate(values), (size, size))
             yield _Cells(spectra, _mask_spectrum(known, size), (rows, cols), float(known.sum()), from_px)
 
-    def averaged(
-        self, side_cells: float, per_cell: Sequence[float]
-    ) -> list[tuple[list[Float32], Float32, Float64]]:
+    def averaged(self, side_cells: float, per_cell: Sequence[float]) -> list[_Layer]:
         """Return harmonics averaged over half a cell, so that nothing between two samples is missed.
 
-        For each number of px `per_cell`, with which channels are computed, these are the planes, the usable
-        px, and the (3, 3) matrix from px. Of several, each has fewer harmonics, and the same weight.
+        There is a layer for each number of px `per_cell`, with which channels are computed. Of several, each
+        has fewer harmonics, and the same weight. The last ones asked for are remembered.
         """
-        result = []
-        for count in per_cell:
-            maps, usable, to_map = self._level(side_cells * count / PIXELS_PER_CELL)
-            sigma_px = 0.5 * _scale_of(to_map) * self.side_px / side_cells
-            chosen = maps[:LAYER_HARMONICS] if len(per_cell) > 1 else maps
-            planes = [np.asarray(cv2.GaussianBlur(each, (0, 0), sigma_px), np.float32) for each in chosen]
-            if len(per_cell) > 1:
-                deviation = np.float32(max(float(np.std(planes)), 1e-6))
-                planes = [plane / deviation for plane in planes]
-            result.append((planes, usable, to_map))
-        return result
+        key = side_cells, tuple(per_cell)
+        layers = self._averaged.pop(key, None)
+        layers = layers or [self._layer(side_cells, per_cell, count) for count in per_cell]
+        self._averaged[key] = layers
+        if len(self._averaged) > REMEMBERED:
+            del self._averaged[next(iter(self._averaged))]
+        return layers
+
+    def _layer(self, side_cells: float, per_cell: Sequence[float], count: float) -> _Layer:
+        maps, usable, to_map = self._level(side_cells * count / PIXELS_PER_CELL)
+        sigma_px = 0.5 * _scale_of(to_map) * self.side_px / side_cells
+        chosen = maps[:LAYER_HARMONICS] if len(per_cell) > 1 else maps
+        planes = [np.asarray(cv2.GaussianBlur(each, (0, 0), sigma_px), np.float32) for each in chosen]
+        if len(per_cell) > 1:
+            deviation = np.float32(max(float(np.std(planes)), 1e-6))
+            planes = [plane / deviation for plane in planes]
+        planes.append(usable)
+        together = LAYER_HARMONICS + 1 if len(per_cell) > 1 else 3
+        starts = range(0, len(planes), together)
+        return [np.stack(planes[start : start + together], axis=-1) for start in starts], to_map
 
     def _level(self, side_cells: float) -> tuple[Float32, Float32, Float64]:
         """Return channels, usable px and the (3, 3) matrix from px, at the nearest half octave."""
@@ -779,7 +792,7 @@ class _Votes:
         """Return the (3, 3) homography grown from the affine change, and its support."""
         best, agrees, support = self.matrix, self.agrees, self.support
         for _ in range(CONSENSUS_REFITS):
-            if np.count_nonzero(agrees) < MIN_PATCHES:
+            if np.count_nonzero(agrees) < PATCHES.least:
                 break
             middle = self.middles_px[agrees].mean(axis=0)
             about, _ = cv2.findHomography(self.middles_px[agrees] - middle, self.moved_px[agrees])
@@ -947,7 +960,7 @@ def _consensus(middles: Float64, displacements: Float64, distinct: Float64, to_t
     """
     n, moved = len(middles), middles + displacements
     no_consensus = _Votes(np.eye(3), np.zeros(n, bool), 0.0, middles, moved, to_target)
-    if n < MIN_PATCHES:
+    if n < PATCHES.least:
         return no_consensus
     weights = np.clip(distinct, 0, 1) + 0.02
     # three different ones a sample, by the exponential race of their weights
@@ -1091,9 +1104,9 @@ class _Ascent:
         self._from_px = _affine(per_px * np.eye(2), middle - per_px * middle_px)
         self._to_px = inverse(self._from_px)
         self._per_cell = tuple(side / cells for side in LAYERS_PX)
-        self._target, self._per_px, self._levels = target, per_px, dict[int, list[tuple[Float32, Float64]]]()
+        self._target, self._per_px, self._levels = target, per_px, dict[int, list[_Layer]]()
         self._known = np.ones(self._shape, np.float32)
-        layers = _packed(reference, cells, self._per_cell)
+        layers = reference.averaged(cells, self._per_cell)
         self._planes, self._known = self._placed_layers(layers, np.eye(3), 0.0)
         self._least = max(MIN_OVERLAP * float(self._known.sum()), MIN_CELLS)
         half = max(rows, cols) / 2
@@ -1108,10 +1121,9 @@ class _Ascent:
         placed, known = self._placed(pose)
         score, normal = self._score(placed, known), self._normal(known)
         for _ in range(ASCENT_ROUNDS):
-            step = self._step(placed, known, normal)
+            step, to_cells = self._step(placed, known, normal), pose @ self._to_px
             for _ in range(1 + ASCENT_HALVINGS):
-                change = inverse(np.eye(3) + np.vstack([step @ self._unit, np.zeros(3)]))
-                moved = pose @ self._to_px @ change @ self._from_px
+                moved = to_cells @ _undone(step @ self._unit) @ self._from_px
                 there, valid = self._placed(moved)
                 higher = self._score(there, valid)
                 if higher > score:
@@ -1150,16 +1162,16 @@ class _Ascent:
         side_cells = self._per_px * self._target.side_px / _scale_of(pose)
         level = round(4 * math.log2(side_cells))
         if level not in self._levels:
-            self._levels[level] = _packed(self._target, 2 ** (level / 4), self._per_cell)
+            self._levels[level] = self._target.averaged(2 ** (level / 4), self._per_cell)
         (a, b), (c, d) = pose[:2, :2].tolist()
         return self._placed_layers(self._levels[level], pose, -math.atan2(c - b, a + d))
 
     def _placed_layers(
-        self, layers: Sequence[tuple[Float32, Float64]], pose: Float64, angle_rad: float
+        self, layers: Sequence[_Layer], pose: Float64, angle_rad: float
     ) -> tuple[Float32, Float32]:
         placed = np.empty((len(layers), LAYER_HARMONICS, *self._shape), np.float32)
         known = np.empty(self._shape, np.float32)
-        for (packed, to_map), planes in zip(layers, placed, strict=True):
+        for ((packed,), to_map), planes in zip(layers, placed, strict=True):
             to_image = np.ascontiguousarray((to_map @ pose @ self._to_px)[:2])
             place_layer(packed, to_image, -2 * angle_rad, self._known, known, planes)
         return placed.reshape(-1, *self._shape), known
@@ -1282,14 +1294,6 @@ _SIMILAR_CHANGES: Final = np.stack(
 """Shift, scale and rotation."""
 
 
-def _packed(image: _PoseImage, side_cells: float, per_cell: Sequence[float]) -> list[tuple[Float32, Float64]]:
-    """Return the layers of `_PoseImage.averaged` as (rows, cols, planes), the last plane what is usable."""
-    return [
-        (np.ascontiguousarray(np.stack([*planes, usable], axis=-1)), to_map)
-        for planes, usable, to_map in image.averaged(side_cells, per_cell)
-    ]
-
-
 def _confirmed(reference: _PoseImage, target: _PoseImage, proposal: PoseProposal) -> PoseProposal:
     """Return a proposal with what the correlation in a frame adds, if that may make a difference."""
     if not MIN_EVIDENCE_TO_CONFIRM <= proposal.evidence < MAX_EVIDENCE:
@@ -1370,6 +1374,8 @@ def _shrunk(values: Float32, valid: Bool, factor: float) -> tuple[Float32, Bool,
 
 def _turned(maps: Float32, angle_rad: float) -> Float32:
     """Rotate the orientations of (harmonics, rows, cols) maps; rows count downwards, orientations upwards."""
+    if angle_rad == 0.0:
+        return maps
     result = maps.copy()
     for index, order in ((1, 2), (3, 4))[: len(maps) // 2]:
         cos, sin = math.cos(order * angle_rad), -math.sin(order * angle_rad)
@@ -1380,6 +1386,17 @@ def _turned(maps: Float32, angle_rad: float) -> Float32:
 
 def _affine(linear: Float64, origin: Float64) -> Float64:
     return np.vstack([np.column_stack([linear, origin]), [0.0, 0.0, 1.0]])
+
+
+def _undone(change: Float64) -> Float64:
+    """Return the (3, 3) inverse of the transformation that adds a (2, 3) change to positions."""
+    (a, b, x), (c, d, y) = change.tolist()
+    a, d = 1 + a, 1 + d
+    size = a * d - b * c
+    if size == 0:
+        raise InputError(f"{SCALE} (a step of the search has none)")
+    rows = (d, -b, b * y - d * x), (-c, a, c * x - a * y), (0.0, 0.0, size)
+    return np.asarray(np.array(rows) / size, np.float64)
 
 
 def _rotation(angle_rad: float) -> Float64:

@@ -7,17 +7,43 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from typing import Final
 
 import cv2
 import numpy as np
 
+from pcwlad_geo.matching.gaps import least_share
 from pcwlad_geo.matching.kernels import refinement as kernel
 from pcwlad_geo.matching.kernels.library import in_threads, shares
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
+
+@dataclass(frozen=True, slots=True)
+class RefinementParameters:
+    """When the iteration of a match ends; further limits are in `kernels.refinement`."""
+
+    tolerance_px: float = 0.004
+    """The iteration ends when the next move is expected to be shorter than this."""
+    reached_by_px: float = 0.05
+    """A start that is already a match counts as reached by a move of this length."""
+    relaxation_robust: float = 1.4
+    """Factor on the first step where weights follow the residual: a plain step falls short by a third."""
+    relaxation_structure: float = 1.4
+    """Further factor where the mutual structure follows the position."""
+    most_move_px: float = 3.0
+    """Points that move farther than this from their start are dropped."""
+    windows_per_correlation: int = 12
+    """Side of the window over that of the local correlation."""
+    block_px: int = 16
+    """Side of the blocks whose scores are taken as independent in the covariance."""
+
+
+REFINEMENT: Final = RefinementParameters()
+"""Those in use."""
+STEP_PX: Final = 2
+"""Distance of the pixels of windows that every second pixel of the rows and columns is enough for."""
 POLE: Final = float(np.sqrt(3.0)) - 2.0
 """Pole of the prefilter of the cubic B-spline [1]_."""
 REACH_PX: Final = 12
@@ -27,39 +53,13 @@ REACH_PX: Final = 12
 def spline_coefficients(image: Float32, out: Float32) -> None:
     """Prefilter an image for cubic B-spline interpolation [1]_, mirrored about its outermost pixels.
 
-    Parameters
-    ----------
-    image : (rows, cols) float32 array
-        Finite values.
-    out : (rows, cols) float32 array
-        Filled with what `scipy.ndimage.spline_filter` returns, to 1e-6 of its range.
-
-    Notes
-    -----
-    The recursive filter, truncated at the precision of float32, is a short symmetric kernel, which is several
-    times as fast.
+    The (rows, cols) float32 `image` is finite. Filled is `out`, (rows, cols) float32, with what
+    `scipy.ndimage.spline_filter` returns, to 1e-6 of its range: the recursive filter, truncated at the
+    precision of float32, is a short symmetric kernel, which is several times as fast.
     """
     kernel = POLE ** np.abs(np.arange(-REACH_PX, REACH_PX + 1))
     kernel /= kernel.sum()
     cv2.sepFilter2D(image, -1, kernel, kernel, dst=out, borderType=cv2.BORDER_REFLECT_101)
-
-
-TOLERANCE_PX: Final = 0.004
-"""The iteration ends when the next move is expected to be shorter than this."""
-REACHED_BY_PX: Final = 0.05
-"""A start that is already a match counts as reached by a move of this length."""
-RELAXATION_ROBUST: Final = 1.4
-"""Factor on the first step where weights follow the residual, as a plain step falls short by a third."""
-RELAXATION_STRUCTURE: Final = 1.4
-"""Further factor on the first step where the mutual structure follows the position."""
-LARGEST_MOVE_PX: Final = 3.0
-"""Points that move further than this from their start are dropped."""
-WINDOW_PER_CORRELATION_SIDE: Final = 12
-"""Side of the refinement window over the side of the window of the local correlation."""
-STEP_PX: Final = 2
-"""Distance of the pixels of windows that every second pixel of the rows and columns is enough for."""
-BLOCK_PX: Final = 16
-"""Side of the blocks whose scores are taken as independent in the covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +70,8 @@ class ChannelMaps:
     """(channels, rows, cols)."""
     valid: Bool
     """(rows, cols) pixels that count."""
+    open_share: float = 1.0
+    """Share of the pixels that narrow gaps leave where they are."""
 
     @cached_property
     def coefficients(self) -> Float32:
@@ -92,11 +94,11 @@ class ChannelMaps:
     def coefficients_by_phase(self) -> Float32:
         """(channels, rows, cols) the coefficients in the same order."""
         sorted_planes, plane = np.empty_like(self.maps_by_phase), np.empty_like(self.maps[0])
-        known = self.__dict__.get("coefficients")
+        coefficients = self.__dict__.get("coefficients")
         for index, out in enumerate(sorted_planes):
-            if known is None:
+            if coefficients is None:
                 spline_coefficients(self.maps[index], plane)
-            _sort_by_phase(plane if known is None else known[index], out)
+            _sort_by_phase(plane if coefficients is None else coefficients[index], out)
         return sorted_planes
 
 
@@ -120,6 +122,10 @@ class Refined:
     converged: Bool
     """(n,) whether the iteration converged."""
 
+    def part(self, index: Index) -> Refined:
+        """Return the points at the (m,) `index`."""
+        return Refined(*(getattr(self, column.name)[index] for column in fields(self)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InitialEstimate:
@@ -134,25 +140,22 @@ class InitialEstimate:
     structure: Float32 | None = None
     """(n, rows, cols) of the window: mutual structure computed beforehand, 0 to 1; None: computed here."""
     is_match: bool = False
-    """Whether the shifts were refined before, from nearly the same pixels: one short move confirms them.
+    """Whether the shifts were refined before, from nearly the same pixels, with fixed structure."""
 
-    This does not hold where the structure follows the position: there many short moves may follow.
-    """
-
-    def part(self, some: slice) -> InitialEstimate:
+    def part(self, part: slice) -> InitialEstimate:
         """Return the start of some of the points."""
         return replace(
             self,
-            shift_xy_px=self.shift_xy_px[some],
-            linear=self.linear[some],
-            structure_xy_px=None if self.structure_xy_px is None else self.structure_xy_px[some],
-            structure=None if self.structure is None else self.structure[some],
+            shift_xy_px=self.shift_xy_px[part],
+            linear=self.linear[part],
+            structure_xy_px=None if self.structure_xy_px is None else self.structure_xy_px[part],
+            structure=None if self.structure is None else self.structure[part],
         )
 
     @property
     def reached_by_px(self) -> float:
         """Length of the move that led to the start."""
-        return REACHED_BY_PX if self.is_match else np.inf
+        return REFINEMENT.reached_by_px if self.is_match else np.inf
 
 
 def refine(
@@ -172,30 +175,13 @@ def refine(
 ) -> Refined:
     """Refine the match of every corner.
 
-    Parameters
-    ----------
-    reference, target : ChannelMaps
-        Maps of both images.
-    corners_rc : (n, 2) intp array
-        Row, column of the window centres in the reference.
-    start : InitialEstimate
-        Initial shifts and deformations.
-    window_px : int, or (int, int)
-        Side of the window, or its rows and columns, odd.
-    step_px : int
-        Distance of the pixels of the window: 1, or `STEP_PX` for every second one of its rows and columns.
-    use_structure : bool
-        Whether to weight by mutual structure.
-    robust : bool
-        Whether to weight by the residual (paper, eq. 9); plain least squares otherwise.
-    affine : bool
-        Whether to estimate the deformation of every window; it is kept as given otherwise.
-    iterations : int
-        Largest number of Gauss-Newton steps.
-    least_valid : float
-        Least share of the window that must be valid in both images.
-    threads : int
-        Number of threads that share the points; the result does not depend on it.
+    The maps are of `reference` and `target`, and the windows lie at the (n, 2) intp `corners_rc` (row,
+    column) of the reference, with initial shifts and deformations in `start`. `window_px` is the side of the
+    window, or its rows and columns, odd; of its pixels those `step_px` apart are taken, 1 or `STEP_PX`.
+    `use_structure` weights them by mutual structure, and `robust` by the residual (paper, eq. 9). `affine`
+    estimates the deformation of each window, which otherwise stays. There are at most so many Gauss-Newton
+    `iterations`. A share of `least_valid` of the window must be valid in both images where they have no gaps.
+    The `threads` share the points; the result does not depend on them.
     """
     n = len(corners_rc)
     structure_mode = _structure_mode(start, use_structure)
@@ -213,19 +199,19 @@ def refine(
         affine=affine,
         iterations=iterations,
         reached_by_px=start.reached_by_px,
-        tolerance_px=TOLERANCE_PX,
+        tolerance_px=REFINEMENT.tolerance_px,
         relaxation=first_relaxation(robust, structure_mode == kernel.STRUCTURE_FOLLOWS),
-        least_valid=float(least_valid),
-        largest_move_px=LARGEST_MOVE_PX,
-        blocks=max(4, round(max(sides_px) / BLOCK_PX)),
+        least_valid=least_share(float(least_valid), reference.open_share, target.open_share),
+        largest_move_px=REFINEMENT.most_move_px,
+        blocks=max(4, round(max(sides_px) / REFINEMENT.block_px)),
     )
     images = _images(reference, target, step_px)
 
-    def refine_some(some: slice) -> kernel.Results:
-        return kernel.refine_points(images, _starts(corners_rc[some], start.part(some)), options)
+    def refine_some(part: slice) -> kernel.Results:
+        return kernel.refine_points(images, _starts(corners_rc[part], start.part(part)), options)
 
-    done = in_threads([partial(refine_some, some) for some in shares(n, threads)], threads)
-    shift, linear, covariance, status = map(np.concatenate, zip(*done, strict=True))
+    results = in_threads([partial(refine_some, part) for part in shares(n, threads)], threads)
+    shift, linear, covariance, status = map(np.concatenate, zip(*results, strict=True))
     return Refined(shift, linear, covariance, status == kernel.CONVERGED)
 
 
@@ -255,12 +241,14 @@ def _starts(corners_rc: Index, start: InitialEstimate) -> kernel.Starts:
 
 def correlation_half_px(window_px: int) -> int:
     """Return the half side of the local correlation window: 3 (7 × 7) at 81, 5 (11 × 11) at 129."""
-    return max(1, round(window_px / WINDOW_PER_CORRELATION_SIDE - 0.5) // 2)
+    return max(1, round(window_px / REFINEMENT.windows_per_correlation - 0.5) // 2)
 
 
 def first_relaxation(robust: bool, structure_follows: bool) -> float:
     """Return the factor on the first step for `robust` weights and where `structure_follows` the shift."""
-    return (RELAXATION_ROBUST if robust else 1.0) * (RELAXATION_STRUCTURE if structure_follows else 1.0)
+    return (REFINEMENT.relaxation_robust if robust else 1.0) * (
+        REFINEMENT.relaxation_structure if structure_follows else 1.0
+    )
 
 
 def _structure_mode(start: InitialEstimate, use_structure: bool) -> int:

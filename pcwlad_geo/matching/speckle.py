@@ -14,47 +14,52 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.types import Bool, Float64, Floating
 
-Floating = NDArray[np.floating[Any]]
 Form = Literal["power", "amplitude", "decibels"]
 
-WINDOW_PX: Final = 7
-"""Side of the windows whose mean and standard deviation are compared."""
-MIN_WINDOWS: Final = 60
-"""Least number of windows from which speckle is told."""
-MAX_WINDOWS: Final = 3000
-"""Largest number of windows that are compared."""
-MIN_VARIATION: Final[dict[Form, float]] = {"power": 0.28, "decibels": 0.28, "amplitude": 0.4}
-"""Least standard deviation over the mean, of power, of the tenth most even windows: about ten looks, and five
-of amplitude. Of more looks there is nothing to do."""
-MAX_SPREAD: Final = 1.5
-"""Largest ratio of that of the middle of all windows and of these: 1.1 to 1.25 where it is simulated, 1.26 to
-1.37 on tiles of Sentinel-1, and 2 and more where images have texture and even ground."""
-MAX_TREND: Final = 1.5
-"""Largest ratio, either way, of the typical one of bright and dark windows: noise that is added has that of
-their means, and photons the root of it."""
-SYMMETRIC: Final = 0.12
-"""Largest skewness of the cube root of power within even windows; -0.07 to 0.05 was seen."""
+
+@dataclass(frozen=True, slots=True)
+class SpeckleParameters:
+    """How speckle is recognised, and what is done to it."""
+
+    window_px: int = 7
+    """Side of the windows whose mean and standard deviation are compared."""
+    least_windows: int = 60
+    """Least number of windows."""
+    most_windows: int = 3000
+    """Largest number of windows."""
+    least_variation: float = 0.28
+    """Least standard deviation over the mean, of power, of the tenth most even windows: about ten looks."""
+    least_of_amplitude: float = 0.4
+    """The same where values are amplitudes: about five looks."""
+    most_spread: float = 1.5
+    """Largest ratio of that of the middle of all windows and of these."""
+    most_trend: float = 1.5
+    """Largest ratio, either way, of the typical one of bright and dark windows: speckle has the same."""
+    most_skewness: float = 0.12
+    """Largest skewness of the cube root of power within even windows; -0.07 to 0.05 was seen."""
+    few_looks: float = 1.6
+    """Looks below which power is averaged over neighbours where these are independent."""
+    least_power: float = 1e-4
+    """What zeros count as in decibels, as a share of the typical power."""
+    taps: tuple[float, float, float] = (0.25, 0.5, 0.25)
+    """Weights along each axis with which power is averaged: seven times as many looks."""
+    border_px: int = 9
+    """A block of zeros as wide as this is no water or shadow if zeros lie along the border, too."""
+
+
+SPECKLE: Final = SpeckleParameters()
+"""Those in use."""
 DECIBELS: Final = (-100.0, 60.0)
 """Range of the values of backscatter in decibels."""
 LARGEST_OF_A_PICTURE: Final = 255.0
 """Whole numbers up to this are a picture, of unknown tones and clipped: they are taken as they are."""
-FEW_LOOKS: Final = 1.6
-"""Looks below which power is averaged over neighbours where these are independent. Of one look that gave 705
-and 491 points instead of 297 and 206 of decibels; of two and four looks these are the more precise."""
-LEAST_POWER: Final = 1e-4
-"""Of the typical power, what zeros count as in decibels."""
-TAPS: Final = (0.25, 0.5, 0.25)
-"""Weights along each axis with which power is averaged: of independent pixels seven times as many looks."""
-BORDER_PX: Final = 9
-"""A block of zeros as wide as this is no water or shadow where zeros also lie along the image's border."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,18 +82,20 @@ class Speckle:
     @property
     def of_independent_pixels(self) -> Speckle:
         """The same where the speckle of neighbours is independent."""
-        return replace(self, scale="averaged" if self.looks < FEW_LOOKS else "logarithm")
+        return replace(self, scale="averaged" if self.looks < SPECKLE.few_looks else "logarithm")
 
     def known(self, values: Floating, valid: Bool) -> Bool:
         """Return which (rows, cols) `values` count: the (rows, cols) `valid` ones without blocks of zeros."""
         if not self.empty_border:
             return valid
         zero = (valid & (values == 0)).astype(np.uint8)
-        solid = cv2.morphologyEx(zero, cv2.MORPH_OPEN, np.ones((BORDER_PX, BORDER_PX), np.uint8))
+        solid = cv2.morphologyEx(
+            zero, cv2.MORPH_OPEN, np.ones((SPECKLE.border_px, SPECKLE.border_px), np.uint8)
+        )
         # what the block's rounded corners left of it
-        around = cv2.dilate(solid, np.ones((BORDER_PX, BORDER_PX), np.uint8))
-        known: Bool = valid & ~np.asarray(around & zero, bool)
-        return known
+        around = cv2.dilate(solid, np.ones((SPECKLE.border_px, SPECKLE.border_px), np.uint8))
+        counted: Bool = valid & ~np.asarray(around & zero, bool)
+        return counted
 
     def stabilised(self, values: Floating, valid: Bool) -> Float64:
         """Return what the maps are made of, see `scale`.
@@ -100,14 +107,14 @@ class Speckle:
             return np.where(valid, values, 0.0).astype(np.float64)
         power = np.where(valid, _to_power(values, self.form), 0.0)
         if self.scale == "logarithm":
-            return np.where(valid, 10 * np.log10(np.maximum(power, LEAST_POWER * self.level)), 0.0)
+            return np.where(valid, 10 * np.log10(np.maximum(power, SPECKLE.least_power * self.level)), 0.0)
         if self.scale == "averaged":
-            taps = np.array(TAPS)
+            taps = np.array(SPECKLE.taps)
             total, weight = (
                 cv2.sepFilter2D(plane, cv2.CV_64F, taps, taps, borderType=cv2.BORDER_REFLECT)
                 for plane in (power, valid.astype(np.float64))
             )
-            power = np.where(valid, total / np.maximum(weight, TAPS[0] ** 2), 0.0)
+            power = np.where(valid, total / np.maximum(weight, SPECKLE.taps[0] ** 2), 0.0)
         return np.cbrt(power)
 
 
@@ -125,7 +132,7 @@ def find_speckle(samples: Sequence[tuple[Floating, Bool]]) -> Speckle | None:
     None where the noise is not multiplicative, or of too many looks to matter.
     """
     windows = _windows(samples)
-    if len(windows) < MIN_WINDOWS:
+    if len(windows) < SPECKLE.least_windows:
         return None
     low, high = float(windows.min()), float(windows.max())
     forms: tuple[Form, ...] = ("power", "amplitude")
@@ -135,45 +142,48 @@ def find_speckle(samples: Sequence[tuple[Floating, Bool]]) -> Speckle | None:
         forms = ("decibels",)
     elif high <= LARGEST_OF_A_PICTURE and bool((windows == np.rint(windows)).all()):
         return None
-    found = [(_looks_and_skewness(_to_power(windows, form), MIN_VARIATION[form]), form) for form in forms]
-    good = [(abs(skewness), looks, form) for (looks, skewness), form in found if looks > 0]
+    looks_by_form = [(_looks_and_skewness(windows, form), form) for form in forms]
+    good = [(abs(skewness), looks, form) for (looks, skewness), form in looks_by_form if looks > 0]
     if not good:
         return None
     skewness, looks, form = min(good)
     level = float(np.median(_to_power(windows, form)))
-    return Speckle(form, looks, level=level) if skewness <= SYMMETRIC else None
+    return Speckle(form, looks, level=level) if skewness <= SPECKLE.most_skewness else None
 
 
 def _windows(samples: Sequence[tuple[Floating, Bool]]) -> Float64:
     """Return (n, pixels) windows in which all pixels count, and differ."""
-    parts = [np.zeros((0, WINDOW_PX**2))]
+    parts = [np.zeros((0, SPECKLE.window_px**2))]
     for values, valid in samples:
-        rows, cols = (side // WINDOW_PX for side in values.shape)
-        shape = rows, WINDOW_PX, cols, WINDOW_PX
-        inside = np.s_[: rows * WINDOW_PX, : cols * WINDOW_PX]
+        rows, cols = (side // SPECKLE.window_px for side in values.shape)
+        shape = rows, SPECKLE.window_px, cols, SPECKLE.window_px
+        inside = np.s_[: rows * SPECKLE.window_px, : cols * SPECKLE.window_px]
         whole = valid[inside].reshape(shape).all(axis=(1, 3)).ravel()
-        some = np.flatnonzero(whole)[:: max(1, -(-int(whole.sum()) * len(samples) // MAX_WINDOWS))]
-        row, col = np.divmod(some, max(cols, 1))
-        chosen = values[inside].reshape(shape)[row, :, col].astype(np.float64)
-        parts.append(chosen.reshape(len(some), WINDOW_PX**2))
+        index = np.flatnonzero(whole)[:: max(1, -(-int(whole.sum()) * len(samples) // SPECKLE.most_windows))]
+        row, col = np.divmod(index, max(cols, 1))
+        pixels = values[inside].reshape(shape)[row, :, col].astype(np.float64)
+        parts.append(pixels.reshape(len(index), SPECKLE.window_px**2))
     windows = np.concatenate(parts)
     textured: Float64 = windows[(np.ptp(windows, axis=1) > 0) & (windows != 0).all(axis=1)]
     return textured
 
 
-def _looks_and_skewness(power: Float64, least_variation: float) -> tuple[float, float]:
-    """Return the looks of (n, pixels) windows of power, and the skewness of its cube root.
+def _looks_and_skewness(windows: Float64, form: Form) -> tuple[float, float]:
+    """Return the looks of (n, pixels) windows, and the skewness of the cube root of their power.
 
     Looks are 0 where their standard deviation is not proportional to their mean, or too small.
     """
+    power, least_variation = _to_power(windows, form), SPECKLE.least_variation
+    if form == "amplitude":
+        least_variation = SPECKLE.least_of_amplitude
     mean = power.mean(axis=1)
     variation = power.std(axis=1, ddof=1) / mean
     least, even, middle = np.percentile(variation, (10, 25, 50)).tolist()
-    if least < least_variation or middle > MAX_SPREAD * least:
+    if least < least_variation or middle > SPECKLE.most_spread * least:
         return 0.0, 0.0
     bright = mean > np.median(mean)
     trend = float(np.median(variation[bright]) / np.median(variation[~bright]))
-    if not 1 / MAX_TREND <= trend <= MAX_TREND:
+    if not 1 / SPECKLE.most_trend <= trend <= SPECKLE.most_trend:
         return 0.0, 0.0
     root = np.cbrt(power[variation <= middle])
     centred = root - root.mean(axis=1, keepdims=True)
@@ -184,5 +194,5 @@ def _looks_and_skewness(power: Float64, least_variation: float) -> tuple[float, 
 def has_empty_border(values: Floating, valid: Bool) -> bool:
     """Return whether blocks of zeros lie along the border of (rows, cols) `values`, (rows, cols) `valid`."""
     zero = (valid & (values == 0)).astype(np.uint8)
-    solid = cv2.erode(zero, np.ones((BORDER_PX, BORDER_PX), np.uint8), borderValue=1)
+    solid = cv2.erode(zero, np.ones((SPECKLE.border_px, SPECKLE.border_px), np.uint8), borderValue=1)
     return bool(solid[0].any() or solid[-1].any() or solid[:, 0].any() or solid[:, -1].any())

@@ -8,20 +8,42 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.matching import Consensus, Keypoints, Method
+from pcwlad_geo.matching.methods import AUTO_FEATURES, Consensus, Keypoints, Method
 from pcwlad_geo.text import Shown
 from pcwlad_geo.types import Bool, Float64, Index
 
 Backward = Literal["as needed", "sample"]
 Channels = Literal["orientations", "gradients", "moment"]
+
+
+@dataclass(frozen=True, slots=True)
+class MethodTraits:
+    """What distinguishes the fine matching methods."""
+
+    channels: Channels = "moment"
+    """Maps that are matched: six of phase congruency, six of the gradient, or the paper's one map M."""
+    structure: Literal["none", "local", "filter"] = "none"
+    """Mutual-structure weights: none, local correlation, or the filter of Shen et al."""
+    robust: bool = False
+    """Whether to estimate by weighted least absolute deviation; otherwise by least squares."""
+    affine: bool = False
+    """Whether each window is deformed freely; otherwise by the displacement field of the scene."""
+    backward: bool = False
+    """Whether points are also matched from target to reference and averaged; see `MatchSettings.backward`."""
+    one_way_px: float = 0.0
+    """RMS forward-backward error up to which the backward match adds no information."""
+    refined: bool = True
+    """Whether matches are refined to a fraction of a pixel."""
+    halo_px: int = 64
+    """Context that the maps need around a window: beyond it they change by less than 4e-4."""
+
+
 FIRST_WINDOW_PX: Final = 81
 """Side of the refinement window of the first pass, unless it is given."""
 OTHER_WINDOWS_PX: Final = (61, 129)
 """Sides of those that the second pass may use instead."""
 LARGE_WINDOWS_PX: Final = (181, 257)
 """Sides of those that it may use, too, in a scene of one tile."""
-
-
 BOUNDS: Final = {
     "template": (5, 4095),
     "window": (5, 4095),
@@ -30,6 +52,19 @@ BOUNDS: Final = {
     "iterations": (1, 1000),
 }
 """Least and largest values of whole numbers among the settings; odd windows are the caller's affair."""
+TRAITS: dict[str, MethodTraits] = {
+    "oriented": MethodTraits(
+        channels="orientations", structure="local", robust=True, backward=True, one_way_px=0.02
+    ),
+    "gradient": MethodTraits(
+        channels="gradients", structure="local", robust=True, backward=True, one_way_px=0.035, halo_px=16
+    ),
+    "pcwlad": MethodTraits(structure="filter", robust=True, affine=True),
+    "pclad": MethodTraits(robust=True, affine=True),
+    "pclsm": MethodTraits(affine=True),
+    "coarse": MethodTraits(refined=False),
+}
+"""The traits of each matching method, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +72,13 @@ class MatchSettings:
     """Settings of the matching of two images; lengths are in pixels of the images given."""
 
     method: Method = "oriented"
-    features: int = 1000
-    """Number of candidates; with cells this sets their density over `features_area_px2`."""
+    features: int | None = None
+    """Number of candidates; with cells this sets their density over `features_area_px2`. None: up to
+    `AUTO_FEATURES`, of a small image fewer if the first of them agree."""
     per_cell: int = 4
     """Largest number of candidates of a cell."""
+    first_features: int | None = None
+    """Number of candidates that are matched first; others follow unless these agree. None: all at once."""
     spare: int = 0
     """How many of these are matched only where others of their cell fail; needs `features_area_px2`."""
     keypoints: Keypoints = "cells"
@@ -68,11 +106,10 @@ class MatchSettings:
     def __post_init__(self) -> None:
         for name, (least, most) in BOUNDS.items():
             value = getattr(self, name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | np.integer)
-                or not least <= value <= most
-            ):
+            if name == "features" and value is None:
+                continue
+            is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not is_whole or not least <= value <= most:
                 raise SettingsError(f"{name} = {value!r}: give a whole number from {least} to {most}")
         for name, kind in (("method", Method), ("keypoints", Keypoints), ("consensus", Consensus)):
             if getattr(self, name) not in get_args(kind):
@@ -82,46 +119,19 @@ class MatchSettings:
             raise SettingsError(f"ssim_min = {self.ssim_min!r}: give a number from -1 to 1")
 
     @property
+    def traits(self) -> MethodTraits:
+        """What distinguishes the method."""
+        return TRAITS[self.method]
+
+    @property
+    def candidates(self) -> int:
+        """Number of candidates where all are matched."""
+        return AUTO_FEATURES if self.features is None else self.features
+
+    @property
     def windows(self) -> tuple[int, ...]:
         """Sides of all refinement windows, the smallest first."""
         return tuple(sorted({self.window, *self.other_windows}))
-
-
-@dataclass(frozen=True, slots=True)
-class MethodTraits:
-    """What distinguishes the fine matching methods."""
-
-    channels: Channels = "moment"
-    """Maps that are matched: six of phase congruency, six of the gradient, or the paper's one map M."""
-    structure: Literal["none", "local", "filter"] = "none"
-    """Mutual-structure weights: none, local correlation, or the filter of Shen et al."""
-    robust: bool = False
-    """Whether to estimate by weighted least absolute deviation; otherwise by least squares."""
-    affine: bool = False
-    """Whether each window is deformed freely; otherwise by the displacement field of the scene."""
-    backward: bool = False
-    """Whether points are also matched from target to reference and averaged; see `MatchSettings.backward`."""
-    one_way_px: float = 0.0
-    """RMS forward-backward error up to which the backward match adds no information."""
-    refined: bool = True
-    """Whether matches are refined to a fraction of a pixel."""
-    halo_px: int = 64
-    """Context that the maps need around a window: beyond it they change by less than 4e-4."""
-
-
-TRAITS: dict[str, MethodTraits] = {
-    "oriented": MethodTraits(
-        channels="orientations", structure="local", robust=True, backward=True, one_way_px=0.02
-    ),
-    "gradient": MethodTraits(
-        channels="gradients", structure="local", robust=True, backward=True, one_way_px=0.035, halo_px=16
-    ),
-    "pcwlad": MethodTraits(structure="filter", robust=True, affine=True),
-    "pclad": MethodTraits(robust=True, affine=True),
-    "pclsm": MethodTraits(affine=True),
-    "coarse": MethodTraits(refined=False),
-}
-"""The traits of each matching method, by name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -168,13 +178,7 @@ class TiePoints(Shown):
         return TiePoints(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def shifted(self, reference_xy_px: Float64, target_xy_px: Float64) -> TiePoints:
-        """Return the points with a constant added to either side.
-
-        Parameters
-        ----------
-        reference_xy_px, target_xy_px : (2,) array
-            Added to the reference positions, and to the target positions, (col, row).
-        """
+        """Return the points with (2,) `reference_xy_px` and (2,) `target_xy_px` (col, row) added."""
         return replace(
             self,
             reference_xy_px=self.reference_xy_px + reference_xy_px,
@@ -194,3 +198,8 @@ class TiePoints(Shown):
         return TiePoints(
             *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(TiePoints))
         )
+
+
+def to_index(points: TiePoints) -> Index:
+    """Return the (n, 2) row, column array indices of the pixels whose centres the reference points are."""
+    return np.floor(points.reference_xy_px[:, ::-1]).astype(np.intp)

@@ -3,45 +3,32 @@
 Every image places the ground X at X + g(X), where g is the error of its georeferencing. The tie points of a
 pair (a, b) measure g of b minus g of a, with an error that all points of the pair share. All g are estimated
 together. An error that all pairs of two kinds of images have in common causes no contradiction between pairs;
-a jackknife over blocks of the ground estimates it. Frames without georeferencing may get homographies
-instead. Of several models the simplest that predicts left-out points as well as any is chosen.
+a jackknife over blocks of the ground estimates it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from typing import Final
 
 import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU
 
-from pcwlad_geo.correction.fit import of_option
-from pcwlad_geo.correction.models import PolynomialBasis, ProjectiveCorrection
-from pcwlad_geo.correction.selection import MIN_GAIN_PX, RESAMPLING_SIGNIFICANCE
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import jackknife, propagated
-from pcwlad_geo.estimation.solving import check_observations, components, inverse
+from pcwlad_geo.estimation.solving import check_observations, components
 from pcwlad_geo.execution.runner import one_library_thread
-from pcwlad_geo.matching.epipolar import MIN_EPIPOLAR_MATCHES, EpipolarGeometry, largest_distance_px, plane_of
 from pcwlad_geo.multi.network import (
     BLOCKS,
-    IMAGE_MODELS,
-    ROUGHNESS,
-    SPLINE,
     Basis,
     Edge,
     EdgeEquations,
     EdgeFit,
-    Fold,
-    HomographyBasis,
     Network,
     NetworkSolution,
-    SplineBasis,
     basis_over,
     edge_equations,
     ends_of,
@@ -52,7 +39,6 @@ from pcwlad_geo.multi.network import (
     mixing_of,
     named,
     penalty_of,
-    polynomial_over,
     side_of_blocks,
     terms_of,
 )
@@ -180,14 +166,14 @@ def adjust(
     for edge in edges:
         check_observations("the tie points of a pair", edge.first_xy, edge.second_xy, edge.covariance)
     group = components(ends_of(edges), images)
-    fixed = _datums(group, datum)
+    fixed = datums_of(group, datum)
     if not edges or (len(fixed) > 1 and not split):
         away = np.flatnonzero(group != group[0]).tolist()
         raise InputError(f"{len(fixed)} groups of images share no ground: images {away} are not connected")
     basis, edges = basis or basis_over([edge.first_xy for edge in edges], model), linked(edges)
-    network, side = _network(images, basis, fixed), side_of_blocks(edges)
+    network, side = network_of(images, basis, fixed), side_of_blocks(edges)
     coefficients = np.zeros((images, network.terms, 2))
-    used, shared = np.ones(len(edges), bool), 0.0
+    in_use, shared = np.ones(len(edges), bool), 0.0
     evidence = np.array([edge.evidence for edge in edges])
     for _ in range(3):  # the ground of the points depends on the displacements
         before = coefficients
@@ -195,22 +181,24 @@ def adjust(
             network = replace(network, known=_known(edges, basis, before, sigma_known))
         parts = [edge_equations(edge, basis, before, side) for edge in edges]
         shared = shared or _initial_shared_error(network, parts)
-        found = _consistent_solution(network, parts, used, shared, evidence)
-        coefficients, used, shared = found.solution.coefficients, found.used, found.shared
-    fits = tuple(replace(fit, used=bool(good)) for fit, good in zip(found.solution.fits, used, strict=True))
-    spread = _spread(network, edges, basis, before, parts, used, found.sigma, side)
+        robust = _consistent_solution(network, parts, in_use, shared, evidence)
+        coefficients, in_use, shared = robust.solution.coefficients, robust.used, robust.shared
+    fits = tuple(
+        replace(fit, used=bool(good)) for fit, good in zip(robust.solution.fits, in_use, strict=True)
+    )
+    spread = _spread(network, edges, basis, before, parts, in_use, robust.sigma, side)
     if datum is None:
         coefficients, spread = _about_mean(coefficients, group), _about_mean(spread, group)
-    normal = found.solution.normal
+    normal = robust.solution.normal
     return Adjustment(basis, coefficients, fits, shared, datum, normal, group, fixed, spread)
 
 
-def _datums(group: Index, datum: int | None) -> tuple[int, ...]:
-    """Return one image of each of the (images,) groups: the datum in its own, the first in the others."""
-    found: list[int] = np.unique(group, return_index=True)[1].tolist()
+def datums_of(group: Index, datum: int | None) -> tuple[int, ...]:
+    """Return an image of each `group`, (images,) numbers: the datum of its own, the first of the others."""
+    first_images: list[int] = np.unique(group, return_index=True)[1].tolist()
     if datum is not None:
-        found[group[datum]] = datum
-    return tuple(found)
+        first_images[group[datum]] = datum
+    return tuple(first_images)
 
 
 def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Float64) -> Float64:
@@ -222,7 +210,8 @@ def _known(edges: Sequence[Edge], basis: Basis, coefficients: Float64, sigma: Fl
     return np.asarray(weight[:, None, None] * moment)
 
 
-def _network(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
+def network_of(images: int, basis: Basis, fixed: tuple[int, ...]) -> Network:
+    """Return the unknowns of images with a model, those `fixed` excepted."""
     return Network(images, terms_of(basis), fixed, penalty_of(basis), mixing_of(basis))
 
 
@@ -237,27 +226,29 @@ def extend(
     itself, on which control points lie: it becomes the last of all `images`, and its pairs the last.
     """
     old = len(before.coefficients) - ground
-    placed = _on_frame(before, more, old, images - ground)
+    addition = _on_frame(before, more, old, images - ground)
     coefficients = np.concatenate(
-        [before.coefficients[:old], placed.coefficients[1:], before.coefficients[old:]]
+        [before.coefficients[:old], addition.coefficients[1:], before.coefficients[old:]]
     )
     last = sum(edge.first < old for edge in edges)  # those with the ground come after those of images
     every = linked([*edges[:last], *more, *(replace(edge, first=images - 1) for edge in edges[last:])])
-    fits = (*before.edges[:last], *placed.edges, *before.edges[last:])
-    shared = np.repeat([before.shared, placed.shared, before.shared], [last, len(more), len(edges) - last])
-    network = _network(
-        images, before.basis, tuple(images - 1 if ground and each == old else each for each in before.fixed)
+    fits = (*before.edges[:last], *addition.edges, *before.edges[last:])
+    shared = np.repeat([before.shared, addition.shared, before.shared], [last, len(more), len(edges) - last])
+    network = network_of(
+        images,
+        before.basis,
+        tuple(images - 1 if ground and image == old else image for image in before.fixed),
     )
     side = side_of_blocks(every)
     parts = [edge_equations(edge, before.basis, coefficients, side) for edge in every]
-    used, sigma = np.array([fit.used for fit in fits]), shared * errors_of(parts)
-    spread = _spread(network, every, before.basis, coefficients, parts, used, sigma, side)
+    in_use, sigma = np.array([fit.used for fit in fits]), shared * errors_of(parts)
+    spread = _spread(network, every, before.basis, coefficients, parts, in_use, sigma, side)
     group = components(ends_of(every), images)
     return replace(
         before,
         coefficients=coefficients,
         edges=fits,
-        normal=network.equations(parts, used, sigma)[0],
+        normal=network.equations(parts, in_use, sigma)[0],
         group=group,
         fixed=network.fixed,
         datum=images - 1 if ground and before.datum == old else before.datum,
@@ -282,11 +273,11 @@ def _on_frame(before: Adjustment, more: Sequence[Edge], old: int, images: int) -
 
 def _about_mean(coefficients: Float64, group: Index) -> Float64:
     """Return (..., images, terms, 2) coefficients less the mean of each group of images."""
-    found = coefficients.copy()
+    centred = coefficients.copy()
     for number in range(int(group.max()) + 1):
         members = group == number
-        found[..., members, :, :] -= found[..., members, :, :].mean(axis=-3, keepdims=True)
-    return found
+        centred[..., members, :, :] -= centred[..., members, :, :].mean(axis=-3, keepdims=True)
+    return centred
 
 
 def _spread(
@@ -306,19 +297,19 @@ def _spread(
         {fold.number: fold.kept for fold in folds_of(edge, basis, coefficients, side, part)} if good else {}
         for edge, part, good in zip(edges, parts, used, strict=True)
     ]
-    found = []
+    solutions = []
     for number in range(BLOCKS**2):
-        kept = [of_edge.get(number, part) for part, of_edge in zip(parts, blocks, strict=True)]
-        found.append(network.coefficients(kept, used, sigma))
-    return jackknife(np.array(found))
+        remaining = [of_edge.get(number, part) for part, of_edge in zip(parts, blocks, strict=True)]
+        solutions.append(network.coefficients(remaining, used, sigma))
+    return jackknife(np.array(solutions))
 
 
 def _initial_shared_error(network: Network, parts: Sequence[EdgeEquations]) -> float:
     """Return the median offset of the pairs in a solution of least L1 norm, relative to their own errors."""
-    used, error = np.ones(len(parts), bool), errors_of(parts)
+    in_use, error = np.ones(len(parts), bool), errors_of(parts)
     shared = np.full(len(parts), 1e3)
     for _ in range(30):  # iteratively reweighted least squares
-        fits = network.solve(parts, used, shared * error).fits
+        fits = network.solve(parts, in_use, shared * error).fits
         size = np.array([np.hypot(*fit.offset) for fit in fits]) / error
         typical = max(float(np.median(size)), LEAST_SHARED)
         shared = np.sqrt(typical * np.maximum(size, typical))
@@ -355,11 +346,11 @@ def _consistent_solution(
     """Solve with the pairs that agree; of groups that contradict each other, with that of more evidence."""
     for turn in range(MOST_ROUNDS):
         # where two groups alternate, the last round keeps that of more evidence
-        found = _robust_solution(network, parts, used, shared, keep=turn == MOST_ROUNDS - 1)
-        used, shared = _consistent_pairs(network, parts, found, evidence), found.shared
-        if (used == found.used).all():
+        result = _robust_solution(network, parts, used, shared, keep=turn == MOST_ROUNDS - 1)
+        used, shared = _consistent_pairs(network, parts, result, evidence), result.shared
+        if (used == result.used).all():
             break
-    return found
+    return result
 
 
 def _robust_solution(
@@ -379,8 +370,8 @@ def _robust_solution(
         sigma = shared * error * factor
         solution = network.solve(parts, used, sigma)
         fits = tuple(
-            replace(fit, sigma=fit.sigma / own, shared=fit.shared / own)
-            for fit, own in zip(solution.fits, factor, strict=True)
+            replace(fit, sigma=fit.sigma / inflation, shared=fit.shared / inflation)
+            for fit, inflation in zip(solution.fits, factor, strict=True)
         )
         solution = replace(solution, fits=fits)
         before, shared = shared, max(_shared_error(solution, used, shared), LEAST_SHARED)
@@ -410,345 +401,37 @@ def _consistent_pairs(
     """Return the pairs to use.
 
     The pairs of an image are replaced by left-out ones that agree on another position of it and have more
-    evidence together, as many pairs may be wrong for one reason.
+    evidence together, as many pairs may be wrong for one reason. Those that alone connect other images with
+    it stay: these images go with it.
     """
-    used, ends, fits = before.used, ends_of(parts), before.solution.fits
+    in_use, ends, fits = before.used, ends_of(parts), before.solution.fits
     offset = np.array([fit.offset for fit in fits])
     limit = critical(len(parts)) * np.array([fit.sigma for fit in fits])
-    found = used.copy()
+    selection = in_use.copy()
     for image in range(network.images):
         at = (ends == image).any(axis=1)
-        out = np.flatnonzero(at & ~used)
+        out = np.flatnonzero(at & ~in_use)
         of_image = offset[out] * np.where(ends[out, 1:] == image, 1, -1)
         groups = [
-            out[np.hypot(*(of_image - each).T) <= most]
-            for each, most in zip(of_image, limit[out], strict=True)
+            out[np.hypot(*(of_image - vector).T) <= most]
+            for vector, most in zip(of_image, limit[out], strict=True)
         ]
         best = max(groups, key=lambda group: float(evidence[group].sum()), default=out)
-        if evidence[best].sum() > evidence[at & used].sum():
-            found[at] = False
-            found[best] = True
-            break
-    return found
+        if evidence[best].sum() > evidence[at & in_use].sum():
+            selection[at] = False
+            selection[best] = True
+            ratio = np.array([fit.ratio for fit in fits])
+            return _still_connected(parts, network.images, in_use, selection, ratio)
+    return selection
 
 
 def _still_connected(
-    edges: Sequence[EdgeEquations], images: int, used: Bool, wanted: Bool, ratio: Float64
+    edges: Sequence[EdgeEquations], images: int, used: Bool, accepted: Bool, ratio: Float64
 ) -> Bool:
     """Return the edges wanted, and the best of the others that are needed to keep all images connected."""
-    chosen = wanted.copy()
+    selection = accepted.copy()
     for index in np.argsort(ratio):
-        if used[index] and not chosen[index]:
-            group = components(ends_of(edges)[chosen], images)
-            chosen[index] = group[edges[index].first] != group[edges[index].second]
-    return chosen
-
-
-HOMOGRAPHY: Final = "projective"
-"""Name of the model."""
-HOMOGRAPHY_RATIO: Final = 0.9
-"""Homographies are used where their residuals are smaller than those of affines by this ratio at least."""
-FLEXIBLE_RATIO: Final = 2**0.5
-"""The same where a more flexible model than an affine was chosen: their squares may be twice as large."""
-NO_HOMOGRAPHY: Final = "no homography fits the tie points of all frames: choose another model"
-"""Message where tie points or ground lie beyond the horizon of a frame."""
-
-
-@dataclass(frozen=True, eq=False)
-class FrameAdjustment(Adjustment):
-    """Homographies of all frames in the pixels of one, and their covariance.
-
-    The inherited fields are those of the frames rectified by the homographies, whose displacements are zero.
-    """
-
-    matrices: Float64
-    """(images, 3, 3): px of the reference (col, row, 1) to those of each frame."""
-
-    def displacement(self, image: int, xy: Float64) -> Float64:
-        """Return the (n, 2) displacements of a frame at the (n, 2) px `xy` of the reference."""
-        return self.correction(image).forward(xy) - xy
-
-    def to_ground(self, image: int, xy: Float64) -> Float64:
-        """Map the (n, 2) px `xy` of a frame to the (n, 2) px of the reference."""
-        return self.correction(image).inverse(xy)
-
-    def covariance(self, image: int, xy: Float64, other: int | None = None) -> Float64:
-        """Return the (n, 2, 2) covariance of a frame's displacement at (n, 2) px `xy` of the reference, px².
-
-        With `other`, that of the difference of the two frames' places in the reference.
-        """
-        covariance = super().covariance(image, xy, other)
-        if other is not None:
-            return covariance
-        jacobian = _jacobian(self.matrices[image], xy)
-        return jacobian @ covariance @ jacobian.transpose(0, 2, 1)
-
-    def correction(self, image: int) -> ProjectiveCorrection:
-        """Return the correction of a frame."""
-        return ProjectiveCorrection(HOMOGRAPHY, self.matrices[image])
-
-
-def on_epipolar_lines(edge: Edge) -> Edge | None:
-    """Return a pair without points off their epipolar lines; None if no geometry is found or few fit it."""
-    geometry = EpipolarGeometry.of(edge.first_xy, edge.second_xy)
-    if geometry is None:
-        return None
-    off = np.abs(geometry.distance_px(edge.first_xy, edge.second_xy))
-    good: Bool = off <= largest_distance_px(off)
-    if good.mean() < 0.5:
-        return None
-    return replace(
-        edge, first_xy=edge.first_xy[good], second_xy=edge.second_xy[good], covariance=edge.covariance[good]
-    )
-
-
-def or_homographies(
-    found: Adjustment, edges: Sequence[Edge], images: int, *, datum: int | None = 0, split: bool = False
-) -> Adjustment:
-    """Return homographies of all frames where the tie points fit them better than an adjustment, else that.
-
-    Against a model that is more flexible than an affine they are preferred, as flat ground is mapped by
-    homographies (`FLEXIBLE_RATIO`). Parameters and errors are those of `homographies`.
-    """
-    if min(len(edge) for edge in edges) < MIN_EPIPOLAR_MATCHES:
-        return found
-    try:
-        projective = homographies(edges, images, datum=datum, split=split)
-    except InputError:
-        return found
-    before, after = (
-        float(np.median([math.hypot(fit.scatter, *fit.offset) for fit in each.edges if fit.used]))
-        for each in (found, projective)
-    )
-    ratio = HOMOGRAPHY_RATIO if lossless(found.basis) else FLEXIBLE_RATIO
-    return projective if after < ratio * before else found
-
-
-def homographies(
-    edges: Sequence[Edge], images: int, *, datum: int | None = 0, split: bool = False
-) -> FrameAdjustment:
-    """Estimate the homographies of all frames from the tie points of their pairs.
-
-    The tie points are in the pixels of the frames; those off their epipolar lines are left out. Other
-    parameters are those of `adjust`. Raises `InputError` as that does, or if no homography fits the points of
-    the pairs of a frame.
-    """
-    edges = [on_epipolar_lines(edge) or edge for edge in edges]
-    matrices = _chained(edges, images, datum)
-    for _ in range(8):
-        rectified = [_rectified(edge, matrices) for edge in edges]
-        basis = polynomial_over([edge.first_xy for edge in rectified], 2, HomographyBasis)
-        found = adjust(rectified, images, datum=datum, split=split, basis=basis)
-        corners = np.array([basis.centre_px, basis.low_px, basis.high_px])
-        steps = [np.abs(found.displacement(image, corners)).max() for image in range(images)]
-        matrices = matrices @ np.stack([_homography(basis, each) for each in found.coefficients])
-        if max(steps) < 1e-4:
-            break
-    values = {name: getattr(found, name) for name in Adjustment.__dataclass_fields__}
-    adjusted = FrameAdjustment(**values, matrices=matrices)
-    corners = np.array(list(product(*zip(basis.low_px, basis.high_px, strict=True))))
-    if not all(np.isfinite(adjusted.displacement(image, corners)).all() for image in range(images)):
-        raise InputError(NO_HOMOGRAPHY)
-    return adjusted
-
-
-def _homography(basis: PolynomialBasis, coefficients: Float64) -> Float64:
-    """Return the (3, 3) homography whose displacement is to first order that of the (6, 2) `coefficients`."""
-    (a, d), (b, e), (c, f) = (coefficients[:3] / basis.radius_px).tolist()
-    g, h = float(coefficients[3, 0]) / basis.radius_px, float(coefficients[5, 1]) / basis.radius_px
-    inner = np.array([[1 + b, c, a], [e, 1 + f, d], [-g, -h, 1.0]])
-    x, y = basis.centre_px
-    unit = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, basis.radius_px]]) / basis.radius_px
-    found = inverse(unit) @ inner @ unit
-    return np.asarray(found / found[2, 2])
-
-
-def _chained(edges: Sequence[Edge], images: int, datum: int | None) -> Float64:
-    """Return (images, 3, 3) homographies, chained from the datum of each group by pairs of most points first.
-
-    Raises `InputError` if those that have a homography do not connect all images.
-    """
-    steps: list[tuple[int, int, Float64]] = []
-    for edge in sorted(edges, key=len, reverse=True):
-        matrix = plane_of(edge.first_xy, edge.second_xy) if len(edge) >= 6 else None
-        if matrix is not None:
-            steps += [(edge.first, edge.second, matrix), (edge.second, edge.first, inverse(matrix))]
-    matrices = np.tile(np.eye(3), (images, 1, 1))
-    known = list(_datums(components(ends_of(edges), images), datum))
-    for image in known:  # breadth first: it grows
-        for first, second, matrix in steps:
-            if first == image and second not in known:
-                matrices[second] = matrix @ matrices[image]
-                known.append(second)
-    lost = images - len(known)
-    if lost:
-        raise InputError(f"no homography fits the tie points of {lost} frames: choose another model")
-    return matrices / matrices[:, 2:, 2:]
-
-
-def _rectified(edge: Edge, matrices: Float64) -> Edge:
-    """Return a pair with its points in px of the reference, mapped there by the homographies.
-
-    Raises `InputError` if one is beyond the horizon.
-    """
-    first, second = (ProjectiveCorrection(HOMOGRAPHY, matrices[image]) for image in (edge.first, edge.second))
-    first_xy, second_xy = first.inverse(edge.first_xy), second.inverse(edge.second_xy)
-    if not (np.isfinite(first_xy).all() and np.isfinite(second_xy).all()):
-        raise InputError(NO_HOMOGRAPHY)
-    jacobian = _jacobian(inverse(second.matrix), edge.second_xy)
-    covariance = np.asarray(jacobian @ edge.covariance @ jacobian.transpose(0, 2, 1))
-    return replace(edge, first_xy=first_xy, second_xy=second_xy, covariance=covariance)
-
-
-def _jacobian(matrix: Float64, xy: Float64) -> Float64:
-    """Return the (n, 2, 2) derivatives of a homography at (n, 2) positions."""
-    moved = np.column_stack([xy, np.ones(len(xy))]) @ matrix.T
-    place = moved[:, :2] / moved[:, 2:]
-    return (matrix[:2, :2] - place[:, :, None] * matrix[2:, :2]) / moved[:, 2:, None]
-
-
-CANDIDATE_MODELS: Final = {
-    "auto": IMAGE_MODELS,
-    **{name: of_option(name) for name in ("shift", "affine", "polynomial", SPLINE)},
-}
-"""Models of an image that are tried, by the option that the user gives."""
-MAX_IMAGES_TO_CHOOSE: Final = 40
-"""Largest number of images that the model is chosen by: those connected to the datum by the fewest pairs."""
-
-
-def choose_basis(
-    edges: Sequence[Edge], images: int, model: str, *, datum: int | None = 0, split: bool = False
-) -> Basis:
-    """Return the basis of the model that predicts left-out ground best (cross-validation).
-
-    Blocks of the ground are left out in turn, in all pairs at once; the tie points in them are compared with
-    the adjustment of the others. A simpler model is kept unless a more flexible one is significantly better.
-    The `model` is a key of `CANDIDATE_MODELS`; the other parameters are those of `adjust`.
-    """
-    places = [edge.first_xy for edge in edges]
-    tried = [
-        basis_over(places, name, roughness)
-        for name in CANDIDATE_MODELS[model]
-        for roughness in (ROUGHNESS if name == SPLINE else ROUGHNESS[:1])
-    ]
-    least = min(map(len, edges), default=0)  # control points may be few
-    determined = [each for each in tried if isinstance(each, SplineBasis) or terms_of(each) < least]
-    tried = determined or tried[:1]
-    if len(tried) == 1:
-        return tried[0]
-    edges, known, datum = _nearest(edges, images, datum)
-    with named(known):
-        start = adjust(edges, len(known), datum=datum, split=split)
-        edges = [edge for edge, fit in zip(linked(edges), start.edges, strict=True) if fit.used]
-        trials: list[_ModelTrial] = []
-        for basis in tried:
-            same = bool(trials) and all(isinstance(each, SplineBasis) for each in (basis, trials[-1].basis))
-            trials.append(replace(trials[-1], basis=basis) if same else _trial(edges, start, basis))
-        # all models are compared with the same weights: the smallest scatters and shared errors of all
-        scatter = np.min([[part.scatter for part in trial.parts] for trial in trials], axis=0)
-        shared = np.min([trial.shared for trial in trials], axis=0)
-        errors = [_errors(trial, start, scatter, shared) for trial in trials]
-    typical, chosen = float(np.median(scatter)), 0
-    for number in range(1, len(tried)):
-        gain = errors[chosen] - errors[number]
-        gain = gain[np.isfinite(gain)]
-        if len(gain) > 1 and _is_better(gain, lossless(tried[chosen]), lossless(tried[number]), typical):
-            chosen = number
-    return tried[chosen]
-
-
-def lossless(basis: Basis) -> bool:
-    """Return whether images of a model keep their pixels, with a corrected geotransform."""
-    return isinstance(basis, PolynomialBasis) and basis.order <= 1
-
-
-def _is_better(gain: Float64, lossless_before: bool, lossless_after: bool, scatter: float) -> bool:
-    """Return whether a more flexible model predicts better, by the (blocks,) gain in squared scatters.
-
-    As for a pair, common errors of the matches of two sensors look like local displacements: a model that
-    needs resampling must gain more than these where the other one is lossless, and between two models that
-    need resampling the better one is chosen, however small its gain.
-    """
-    error = gain.std(ddof=1) / np.sqrt(len(gain))
-    if not lossless_before:
-        return bool(gain.mean() > 0)
-    if lossless_after:
-        return bool(gain.mean() > 2 * error)
-    enough = scatter * np.sqrt(max(gain.mean(), 0.0)) >= MIN_GAIN_PX
-    return bool(enough and gain.mean() > RESAMPLING_SIGNIFICANCE * error)
-
-
-def _nearest(
-    edges: Sequence[Edge], images: int, datum: int | None
-) -> tuple[Sequence[Edge], Sequence[int], int | None]:
-    """Return the pairs of the images nearest to the datum, these images, and the number of the datum.
-
-    The images are numbered anew if there are more than `MAX_IMAGES_TO_CHOOSE`.
-    """
-    if images <= MAX_IMAGES_TO_CHOOSE:
-        return edges, range(images), datum
-    known = [datum or 0]
-    for image in known:
-        for edge in edges:
-            if image in (edge.first, edge.second) and len(known) < MAX_IMAGES_TO_CHOOSE:
-                other = edge.first + edge.second - image
-                known += [other] if other not in known else []
-    number = {image: index for index, image in enumerate(known)}
-    kept = [
-        replace(edge, first=number[edge.first], second=number[edge.second])
-        for edge in edges
-        if edge.first in number and edge.second in number
-    ]
-    return kept, known, None if datum is None else 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _ModelTrial:
-    """A model, and the equations of the pairs by it, which are the same for splines of any roughness."""
-
-    basis: Basis
-    parts: list[EdgeEquations]
-    folds: list[dict[int, Fold]]
-    """Left-out blocks of each pair, by their number."""
-    shared: Float64
-    """(edges,) standard deviations of the error that the points of each share, map units."""
-
-
-def _trial(edges: Sequence[Edge], start: Adjustment, basis: Basis) -> _ModelTrial:
-    """Return the equations of the pairs by a model, with the datum of the adjustment `start`."""
-    side = side_of_blocks(edges)
-    network = _network(len(start.coefficients), basis, start.fixed)
-    coefficients = np.zeros((network.images, network.terms, 2))
-    for _ in range(2):  # the ground of the points depends on the displacements
-        parts = [edge_equations(edge, basis, coefficients, side) for edge in edges]
-        shared = errors_of(parts)
-        coefficients = network.coefficients(parts, np.ones(len(parts), bool), shared)
-    folds = [
-        {fold.number: fold for fold in folds_of(edge, basis, coefficients, side / 2, part)}
-        for edge, part in zip(edges, parts, strict=True)
-    ]
-    return _ModelTrial(basis, parts, folds, shared)
-
-
-def _errors(trial: _ModelTrial, start: Adjustment, scatter: Float64, shared: Float64) -> Float64:
-    """Return the mean squared residual of the points of each left-out block, in scatters of their pairs.
-
-    It is NaN for blocks without points. `scatter` and `shared` are the (edges,) standard deviations of the
-    points and of the error that those of a pair share.
-    """
-    network = _network(len(start.coefficients), trial.basis, start.fixed)
-    found = np.full(BLOCKS**2, np.nan)
-    for number in range(BLOCKS**2):
-        left_out = [folds.get(number) for folds in trial.folds]
-        kept = [fold.kept if fold else part for part, fold in zip(trial.parts, left_out, strict=True)]
-        without = network.coefficients(kept, np.ones(len(kept), bool), shared)
-        total = count = 0.0
-        for part, fold, unit in zip(trial.parts, left_out, scatter, strict=True):
-            if fold is None or fold.kept is part:  # nothing of it was left out
-                continue
-            residual = fold.observed - fold.values @ (without[part.second] - without[part.first])
-            total += float(np.minimum((residual / unit) ** 2, 3.0**2).sum())
-            count += residual.size
-        if count:
-            found[number] = total / count
-    return found
+        if used[index] and not selection[index]:
+            group = components(ends_of(edges)[selection], images)
+            selection[index] = group[edges[index].first] != group[edges[index].second]
+    return selection

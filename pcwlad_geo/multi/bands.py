@@ -19,19 +19,16 @@ from pcwlad_geo.correction.error_statistics import ErrorStatistics, FloatPair, P
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.matching.field import Surface, predict
 from pcwlad_geo.options import BAND_NAME
-from pcwlad_geo.products import (
-    Product,
-    find_product,
-    native_per_px,
-    native_px_m,
-    no_product,
-    rasters_of,
-    stem_of,
-)
-from pcwlad_geo.raster.file_tree import is_folder
+from pcwlad_geo.products.finding import find_product, native_per_px, native_px_m, no_product, stem_of
+from pcwlad_geo.products.names import rasters_of
+from pcwlad_geo.products.product import Product
+from pcwlad_geo.raster.file_tree import file_name, is_folder, plain_uri
 from pcwlad_geo.raster.grid import middle_pixel_size_m, pixel_sizes_m
-from pcwlad_geo.raster.source import RasterInfo, describe, file_name, open_raster, plain_uri, without_collar
+from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.text import whole
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
 from pcwlad_geo.types import Float64, Index, PathLike
 
@@ -59,7 +56,7 @@ def expand(
 ) -> list[Wanted]:
     """Return the bands requested by an argument of the command line.
 
-    It is a raster, a product (see `products.find_product`) or a folder of rasters; ``FILE:2,4-6`` and
+    It is a raster, a product (see `products.finding.find_product`) or a folder of rasters; ``FILE:2,4-6`` and
     ``PRODUCT:B4,B10`` select these bands of it. Without such a suffix they are `bands`, by default all that
     show the ground. The `mask` applies to all of them, 0 = excluded; the default is the mask of the product.
     Raises `InputError` if the raster or product cannot be used, or lacks a band.
@@ -97,12 +94,13 @@ def parse_bands(text: str) -> list[int | str]:
         if BAND_NAME.match(part.strip()):
             bands.append(part.strip())
             continue
-        first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()) or int(first) < 1:
+        begin, dash, end = part.partition("-")
+        first, last = whole(begin), whole(end if dash else begin)
+        if not first or last is None:
             raise SettingsError(
                 f"bands = {text!r}: give numbers from 1, such as 2,4,5 or 1-4, or names of a product's bands"
             )
-        span = range(int(first), int(last or first) + 1)
+        span = range(first, last + 1)
         if not span or len(span) > 1000:
             raise SettingsError(f"bands = {text!r}: {part.strip()} is no range of bands")
         bands += span
@@ -237,7 +235,7 @@ def _finest_first(bands: Sequence[Band]) -> list[Band]:
 
 
 def _described(wanted: Wanted) -> Band:
-    info, collar = without_collar(describe(wanted.uri, band=wanted.number, mask=wanted.mask))
+    info, undeclared = without_undeclared(describe(wanted.uri, band=wanted.number, mask=wanted.mask))
     description = wanted.name
     if description is None:
         with open_raster(wanted.uri) as dataset:
@@ -252,7 +250,7 @@ def _described(wanted: Wanted) -> Band:
         native_m=(known, known) if known else px_m,
         native_known=known is not None,
         product=wanted.product,
-        notes=(*wanted.notes, *collar),
+        notes=(*wanted.notes, *undeclared),
     )
 
 
@@ -462,6 +460,23 @@ MAX_REACH: Final = 2.5
 """Largest distance of neighbours relative to the typical one; in a corner it is about twice as large."""
 
 
+CLOSES_PX: Final = 0.05
+"""Closure error up to which a triangle closes whatever its standard error, px of the coarsest band."""
+
+
+def larger_axis_px(mean_px: Sequence[float] | None) -> float:
+    """Return the size of a closure error, px, of the larger axis; 0 if it is not known."""
+    return float(max(map(abs, mean_px or (0.0, 0.0))))
+
+
+def closes(mean_px: Sequence[float] | None, error_px: Sequence[float] | None) -> bool:
+    """Return whether a mean closure error is within `CLOSES_PX`, or within three standard errors."""
+    if mean_px is None:
+        return False
+    pairs = zip(mean_px, error_px or (0.0, 0.0), strict=True)
+    return all(abs(mean) <= max(CLOSES_PX, 3 * error) for mean, error in pairs)
+
+
 @dataclass(frozen=True, slots=True)
 class Triangle:
     """The closure error of a triangle of bands, px (col, row) of the third, the coarsest."""
@@ -482,6 +497,16 @@ class Triangle:
     def name(self) -> str:
         """Names of the three bands, as text."""
         return " – ".join(self.bands)
+
+    @property
+    def error_size_px(self) -> float:
+        """The closure error of the larger axis; 0 if it is not known."""
+        return larger_axis_px(self.mean_px)
+
+    @property
+    def closes(self) -> bool:
+        """Whether it closes within `CLOSES_PX`, or within three standard errors."""
+        return closes(self.mean_px, self.error_px)
 
     @property
     def mean_m(self) -> FloatPair | None:

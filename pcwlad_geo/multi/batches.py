@@ -11,9 +11,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from itertools import groupby, islice
 from pathlib import Path
+from traceback import clear_frames
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from pcwlad_geo.arguments import checked
 from pcwlad_geo.errors import (
+    ExecutionError,
     InputError,
     OutputError,
     PcwladGeoError,
@@ -22,7 +25,6 @@ from pcwlad_geo.errors import (
     SettingsError,
 )
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
-from pcwlad_geo.execution.processes import OwnProcesses
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import open_job_runner, output_folder, register
 from pcwlad_geo.limits import BATCH_ROWS, check_count
@@ -30,7 +32,7 @@ from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS,
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
-from pcwlad_geo.products import products_found_once
+from pcwlad_geo.products.finding import products_found_once
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.registration.inputs import estimate_tile_count
 from pcwlad_geo.report.finished import read_report, report_of_same_job
@@ -247,24 +249,23 @@ class PairOutcome:
     """Reason why there is no registered raster, or the requirements that are not met."""
     done_before: bool = False
     """Whether the pair was finished by an earlier run."""
-    report: Mapping[str, Any] = field(default_factory=dict)
-    """Content of its report.json, if it has one."""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    """What the summary tells of its report.json; empty without one."""
     error: Exception | None = None
-    """The exception that was raised."""
+    """The exception that was raised, without what it held of the pair: that would add up over many."""
+
+    @property
+    def report(self) -> Mapping[str, Any]:
+        """Content of its report.json, read from its folder; empty if it has none."""
+        return read_report(self.pair.out_dir) if self.figures else {}
 
     @property
     def passed(self) -> bool | None:
         """Whether all requirements of a registered pair are met; None without requirements."""
-        passed: bool | None = self.report.get("passed") if self.status == "registered" else None
-        return passed
+        return self.figures.get("passed") if self.status == "registered" else None
 
     def row(self) -> dict[str, object]:
         """Return the line of the pair in the summary; missing values are None."""
-        report = self.report
-        counts = report.get("tie_points") or {}
-        displacement = (report.get("displacement_px") or {}).get("median") or (None, None)
-        group, accuracy = _accuracy(report)
-        px, m = accuracy.get("px") or {}, accuracy.get("m") or {}
         return {
             "line": self.pair.line,
             "reference": self.pair.reference,
@@ -272,23 +273,35 @@ class PairOutcome:
             "out_dir": str(self.pair.out_dir),
             "status": self.status,
             "done_before": self.done_before,
-            "tie_points": counts["total"] - counts["rejected"] if counts else None,
-            "rejected": counts.get("rejected"),
-            "d_col_px": displacement[0],
-            "d_row_px": displacement[1],
-            "quality": (report.get("quality") or {}).get("grade"),
-            "expected_ce90_px": (report.get("quality") or {}).get("expected_ce90_px"),
-            "model": (report.get("model") or {}).get("name"),
-            "accuracy_at": group,
-            "rmse_px": px.get("rmse"),
-            "ce90_px": px.get("ce90"),
-            "rmse_m": m.get("rmse"),
-            "ce90_m": m.get("ce90"),
+            **(self.figures or _figures_of({})),
             "passed": self.passed,
-            "warnings": len(report["warnings"]) if report else None,
-            "seconds": round(sum(report["seconds"].values()), 1) if report else None,
             "reason": self.reason,
         }
+
+
+def _figures_of(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a report that the summary has; all are None without one."""
+    counts = report.get("tie_points") or {}
+    displacement = (report.get("displacement_px") or {}).get("median") or (None, None)
+    group, accuracy = _accuracy(report)
+    px, m = accuracy.get("px") or {}, accuracy.get("m") or {}
+    return {
+        "tie_points": counts["total"] - counts["rejected"] if counts else None,
+        "rejected": counts.get("rejected"),
+        "d_col_px": displacement[0],
+        "d_row_px": displacement[1],
+        "quality": (report.get("quality") or {}).get("grade"),
+        "expected_ce90_px": (report.get("quality") or {}).get("expected_ce90_px"),
+        "model": (report.get("model") or {}).get("name"),
+        "accuracy_at": group,
+        "rmse_px": px.get("rmse"),
+        "ce90_px": px.get("ce90"),
+        "rmse_m": m.get("rmse"),
+        "ce90_m": m.get("ce90"),
+        "passed": report.get("passed"),
+        "warnings": len(report["warnings"]) if report else None,
+        "seconds": round(sum(report["seconds"].values()), 1) if report else None,
+    }
 
 
 def check_summary(path: Path) -> None:
@@ -374,6 +387,7 @@ class BatchResult:
         return sum(outcome.status == status for outcome in self.pairs)
 
 
+@checked()
 def batch(
     pairs: PathLike,
     *,
@@ -385,8 +399,8 @@ def batch(
 ) -> BatchResult:
     """Register the pairs of a table.
 
-    The tiles of a large pair are shared among the worker processes; of pairs of one tile each does a whole
-    one, from its files to its folder.
+    The tiles of a large pair are shared among threads; pairs of one tile among processes, of which each does
+    a whole one, from its files to its folder.
     A pair that is refused, cannot be used or does not meet a requirement is reported by a warning and in the
     summary, and the other pairs are processed. A pair that an earlier run has finished with the same inputs
     and options is not processed again.
@@ -485,7 +499,7 @@ def _parts(todo: Sequence[BatchPair], runner: Runner) -> Iterator[list[BatchPair
 
     The first one is alone: what goes wrong with every pair is told before the workers begin.
     """
-    most = PAIRS_A_WORKER * runner.threads if isinstance(runner, OwnProcesses) and runner.threads > 1 else 1
+    most = PAIRS_A_WORKER * runner.threads if runner.shares_jobs else 1
 
     def is_small(numbered: tuple[int, BatchPair]) -> bool:
         number, pair = numbered
@@ -508,12 +522,23 @@ def _do_part(
         if len(left) <= 1:
             done = iter([_do(pair, overwrite, events, runner) for pair in left])
         else:
-            found = runner.run(_do_whole, [(pair, overwrite) for pair in left], "pairs", events).results
-            for pair, (_, warnings) in zip(left, found, strict=True):
-                for warning in warnings:
-                    events.of(pair)(warning)
-            done = iter([outcome for outcome, _ in found])
+            found = runner.run_jobs(_do_whole, [(pair, overwrite) for pair in left], "pairs", events)
+            done = iter([_told(result, pair, events) for result, pair in zip(found, left, strict=True)])
     return [outcome or next(done) for outcome in before]
+
+
+def _told(
+    result: tuple[PairOutcome, list[Warned]] | ExecutionError, pair: BatchPair, events: _PairEvents
+) -> PairOutcome:
+    """Send what a pair was warned of; return its outcome, also where its process was lost."""
+    if isinstance(result, ExecutionError):
+        with suppress(OutputError), OutputFolder(pair.out_dir, overwrite=True):
+            pass  # entering it sweeps
+        return _not_done(pair, result)
+    outcome, warnings = result
+    for warning in warnings:
+        events(warning)
+    return outcome
 
 
 def _do_whole(pair: BatchPair, overwrite: bool) -> tuple[PairOutcome, list[Warned]]:
@@ -561,18 +586,32 @@ def _registered(pair: BatchPair, report: Mapping[str, Any], *, before: bool = Fa
     """Return the outcome of a registered pair, whether or not it meets its requirements."""
     missed = [each["message"] for each in report.get("requirements", ()) if not each["met"]]
     reason = "; ".join(missed) or None
-    return PairOutcome(pair, "registered", reason, done_before=before, report=report)
+    return PairOutcome(pair, "registered", reason, done_before=before, figures=_figures_of(report))
 
 
 def _not_done(pair: BatchPair, error: Exception) -> PairOutcome:
+    _release(error)
     if isinstance(error, RegistrationRejectedError):
         report = read_report(pair.out_dir)
-        return PairOutcome(pair, "rejected", report.get("reason") or str(error), report=report, error=error)
+        reason = report.get("reason") or str(error)
+        return PairOutcome(pair, "rejected", reason, figures=_figures_of(report), error=error)
     known = error if isinstance(error, PcwladGeoError) else explained(error)
     if known is not None:
         return PairOutcome(pair, "unusable", joined(known), error=error)
     reason = f"unexpected {type(error).__name__}: {joined(error)}"
     return PairOutcome(pair, "failed", reason, error=error)
+
+
+def _release(error: BaseException) -> None:
+    """Free what an error and those before it hold of a pair: variables of their frames, the registration."""
+    chain: list[BaseException] = []
+    current: BaseException | None = error
+    while current is not None and current not in chain:
+        chain.append(current)
+        clear_frames(current.__traceback__)
+        if isinstance(current, RegistrationRejectedError):
+            current.registration = None
+        current = current.__cause__ or current.__context__
 
 
 def _done_before(pair: BatchPair) -> PairOutcome | None:
@@ -593,5 +632,5 @@ def _earlier(pair: BatchPair) -> PairOutcome | None:
     if status == "registered":
         return _registered(pair, report, before=True)
     if status == "rejected":
-        return PairOutcome(pair, status, report.get("reason"), done_before=True, report=report)
+        return PairOutcome(pair, status, report.get("reason"), done_before=True, figures=_figures_of(report))
     return None

@@ -18,9 +18,10 @@ from pcwlad_geo.correction.models import Correction, from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.time_series import MIN_MOVING_IMAGES, Motions, displacements, velocities
 from pcwlad_geo.events import EventCallback, Progress
-from pcwlad_geo.multi.stack import RasterInfoOrError, frame_again
+from pcwlad_geo.multi.finished_stack import RasterInfoOrError, frame_again
+from pcwlad_geo.multi.stack_frame import StackFrame
 from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_pairs import PAIRS, StackFrame
+from pcwlad_geo.multi.stack_pairs import PAIRS
 from pcwlad_geo.raster.grid import middle_pixel_size_m
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Bool, Float64, Index

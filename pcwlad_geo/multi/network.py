@@ -41,6 +41,19 @@ SPLINE_CELLS: Final = 4
 ROUGHNESS: Final = (0.1, 1.0, 10.0)
 """Bendings of a spline that are tried, map units over the side of a cell: of the deviation of neighbouring
 coefficients from a plane, standard deviation."""
+SAME_PX: Final = 0.5
+"""Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
+MIN_EDGE_SIGMA_REDUNDANCY: Final = 0.01
+"""Redundancies below this are taken as this in the sigma of an edge."""
+LARGEST_GROWTH: Final = 1e4
+"""Coefficients so many times as large as what is observed are those of a singular matrix."""
+BLOCKS: Final = 3
+"""An image is divided into so many blocks along each axis, which are left out in turn."""
+
+
+def lossless(basis: Basis) -> bool:
+    """Return whether images of a model keep their pixels, with a corrected geotransform."""
+    return isinstance(basis, PolynomialBasis) and basis.order <= 1
 
 
 class Basis(Protocol):
@@ -137,16 +150,6 @@ def basis_over(places: Sequence[Float64], model: str, roughness: float = ROUGHNE
     across, down = (max(1, int(np.ceil(side / spacing - 1e-9))) for side in size)
     grid = SplineGrid(polynomial.low_px, spacing, (across, down))
     return SplineBasis(grid, polynomial.centre_px, polynomial.low_px, roughness)
-
-
-SAME_PX: Final = 0.5
-"""Points that lie nearer to each other in an image are of one feature, map units (px of the frame)."""
-MIN_EDGE_SIGMA_REDUNDANCY: Final = 0.01
-"""Redundancies below this are taken as this in the sigma of an edge."""
-LARGEST_GROWTH: Final = 1e4
-"""Coefficients so many times as large as what is observed are those of a singular matrix."""
-BLOCKS: Final = 3
-"""An image is divided into so many blocks along each axis, which are left out in turn."""
 
 
 class UndeterminedImageError(InputError):

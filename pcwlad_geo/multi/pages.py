@@ -17,15 +17,18 @@ from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import AffineCorrection, affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.adjustment import MIN_REDUNDANCY
-from pcwlad_geo.multi.bands import SQUARES
+from pcwlad_geo.multi.bands import CLOSES_PX, SQUARES, closes, larger_axis_px
 from pcwlad_geo.multi.cycles import GRADES_OF_IMAGES, root_mean_square
 from pcwlad_geo.multi.qa_result import Summary
-from pcwlad_geo.multi.stack_pairs import StackFrame, StackPair
+from pcwlad_geo.multi.stack_frame import StackFrame
+from pcwlad_geo.multi.stack_pairs import StackPair
 from pcwlad_geo.multi.stack_result import Stack, StackImage
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.source import file_name
+from pcwlad_geo.outputs.write import NAMES
+from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.report import figures
 from pcwlad_geo.report.page import Answer, Headline, State, page_environment, templates_of
 from pcwlad_geo.report.views import pair_views, read_backdrop
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -100,8 +103,6 @@ def _arrow(local: Mapping[str, Any], scale: float, per_px: float) -> Arrow:
 
 CE90_CLASSES_PX: Final = (0.1, 0.2, 0.3, 0.5, 1.0)
 """Class limits of CE90 for the colours of the matrix, constant so that pages can be compared."""
-CLOSES_PX: Final = 0.05
-"""Closure error above which a triangle is marked."""
 MAX_ROWS: Final = 24
 """Largest number of triangles shown; lists of names are shortened to a quarter of it."""
 ARROW_PX: Final = 15.0
@@ -199,18 +200,7 @@ def verdict(summary: Summary) -> str:
 
 def gap(triangle: Mapping[str, Any]) -> float:
     """Return the closure error of a triangle, px, of the larger axis; 0 if it is not known."""
-    return float(max(map(abs, triangle["mean_px"] or (0.0, 0.0))))
-
-
-def closes(triangle: Mapping[str, Any]) -> bool:
-    """Whether a triangle closes within the limit, or within three standard errors."""
-    if triangle["mean_px"] is None:
-        return False
-    errors = triangle["error_px"] or (0.0, 0.0)
-    return all(
-        abs(mean) <= max(CLOSES_PX, 3 * error)
-        for mean, error in zip(triangle["mean_px"], errors, strict=True)
-    )
+    return larger_axis_px(triangle["mean_px"])
 
 
 def crs_name(crs: str | None) -> str:
@@ -332,10 +322,15 @@ class Link:
     title: str
 
 
+def _report_of(pair: StackPair) -> str:
+    """Return the name of a pair's report page, or of its numbers where it was matched without a page."""
+    page, numbers = (NAMES[kind] for kind in ("report", "numbers"))
+    without_page = (pair.folder / numbers).exists() and not (pair.folder / page).exists()
+    return numbers if without_page else page
+
+
 def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
     """Return the page, which holds everything that it shows; pictures only with the images of a frame."""
-    from pcwlad_geo.report.figures import displacement_figure  # slow to load: matplotlib
-
     nodes = _ring([image.name for image in found.images])
     at = {node.name: node for node in nodes}
     order = {"left out": 0, "refused": 1, "used": 2}
@@ -361,13 +356,13 @@ def stack_page(found: Stack, frame: StackFrame | None = None) -> str:
         worst_pair=worst_pair and (file_name(worst_pair.target.uri), file_name(worst_pair.reference.uri)),
         views=[] if worst_pair is None else pair_views(worst_pair),
         field=worst_pair
-        and displacement_figure(
+        and figures.displacement_figure(
             worst_pair.tie_points, worst_pair.reference.grid.shape, read_backdrop(worst_pair.reference)
         ),
         paper=False,
         in_time=_shifts_in_time(found),
         groups=max(image.group for image in found.images) + 1,
-        pairs=[(pair, pair.off_px) for pair in pairs],
+        pairs=[(pair, pair.off_px, _report_of(pair)) for pair in pairs],
         nodes=nodes,
         links=[_link(pair, at) for pair in reversed(pairs)],
         side=NET_SIDE_PX,
@@ -495,10 +490,8 @@ def _worst_registration(found: Stack, frame: StackFrame, images: Sequence[StackI
     )
 
 
-def _shifts_in_time(found: Stack) -> tuple[bytes, str] | None:
+def _shifts_in_time(found: Stack) -> tuple[str, str] | None:
     """Return a picture of the shifts by date, and what it shows; None of fewer than three dates."""
-    from pcwlad_geo.report.figures import TimeLine, time_line_figure  # slow to load: matplotlib
-
     dated = [image for image in found.images if image.given.day is not None]
     dated.sort(key=lambda image: (str(image.date), image.name))
     days = np.array([image.given.day for image in dated], "datetime64[D]")
@@ -509,8 +502,8 @@ def _shifts_in_time(found: Stack) -> tuple[bytes, str] | None:
     )
     no_model, none = np.full(moved_px.shape, np.nan), np.zeros(len(dated), bool)
     span = days[0], days[-1]
-    line = TimeLine(days, moved_px, np.hypot(*sigma_px.T) / 2**0.5, no_model, none, (), span)
-    return time_line_figure(line), f"{len(dated)} images from {span[0]} to {span[1]}"
+    line = figures.TimeLine(days, moved_px, np.hypot(*sigma_px.T) / 2**0.5, no_model, none, (), span)
+    return figures.time_line_figure(line), f"{len(dated)} images from {span[0]} to {span[1]}"
 
 
 def _ring(names: Sequence[str]) -> list[Node]:

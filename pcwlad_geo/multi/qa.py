@@ -11,6 +11,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from pcwlad_geo.arguments import checked
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
@@ -18,6 +19,7 @@ from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.multi.bands import (
     Band,
     PairResult,
+    Triangle,
     close_triangles,
     find_band,
     list_bands,
@@ -36,10 +38,10 @@ from pcwlad_geo.multi.qa_result import (
 )
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.products import stem_of
+from pcwlad_geo.products.finding import stem_of
+from pcwlad_geo.raster.file_tree import plain_name
 from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
-from pcwlad_geo.raster.source import plain_name
-from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
 
@@ -66,6 +68,7 @@ Settings of the correction (model, grid, format, resampling, write_sigma, keep) 
 """
 
 
+@checked()
 def qa(
     rasters: Sequence[PathLike] | PathLike,
     *,
@@ -150,6 +153,8 @@ def qa(
         pairs = _measure(planned, settings, on_event, executor)
         window_px = max((each.window_px for each in pairs), default=0)
         triangles = close_triangles(stack, pairs, window_px) if base is None else []
+        if (note := closure_note(triangles)) is not None:
+            on_event(Warned(note))
         verdicts = [
             judge_triangles(each, triangles) if each.rule.statistic == "closure" else judge_pairs(each, pairs)
             for each in requirements
@@ -170,6 +175,18 @@ def qa(
         check_unchanged(inputs)
         folder.commit()
     return result
+
+
+def closure_note(triangles: Sequence[Triangle]) -> str | None:
+    """Return how many triangles do not close, and the worst of them; None if all close."""
+    failed = [triangle for triangle in triangles if triangle.cells and not triangle.closes]
+    if not failed:
+        return None
+    worst = max(failed, key=lambda triangle: triangle.error_size_px)
+    return (
+        f"{len(failed)} of {len(triangles)} triangles do not close, {worst.name} by "
+        f"{worst.error_size_px:.2f} px: the error of at least one pair is larger than its sigmas"
+    )
 
 
 def qa_folder(rasters: Sequence[PathLike], out_dir: PathLike | None) -> Path:

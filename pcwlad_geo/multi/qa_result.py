@@ -13,7 +13,7 @@ from pcwlad_geo.correction.error_statistics import Count, FloatPair, Proof, Unit
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.multi.bands import Band, BandPairStatus, LocalMean, PairResult, Triangle, local_means
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products import TIRS_M
+from pcwlad_geo.products.landsat import TIRS_M
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.report.content import Positive, filled, rounded, versions
 from pcwlad_geo.requirements import Requirement, Unit, parse_requirement, value_of

@@ -19,7 +19,15 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsErr
 from pcwlad_geo.estimation.robust import sigma_of
 from pcwlad_geo.events import EventCallback, Progress, Warned, only_warnings
 from pcwlad_geo.limits import check_coordinates, check_grid
+from pcwlad_geo.multi.control_points import (
+    CONTROL_COLUMNS,
+    CONTROL_SIGMA_PX,
+    LEAST_CONTROL_SIGMA_PX,
+    check_place,
+    control_point,
+)
 from pcwlad_geo.multi.cycles import closure_of, residual_ce90
+from pcwlad_geo.multi.image_positions import NODES, compared, placed_values, raster_paths
 from pcwlad_geo.multi.rpc_block import (
     PLACE_SIGMAS,
     BlockAdjustment,
@@ -30,30 +38,10 @@ from pcwlad_geo.multi.rpc_block import (
     implied_heights,
     pixel_in_frame,
 )
+from pcwlad_geo.multi.stack_frame import StackFrame
 from pcwlad_geo.multi.stack_inputs import StackInput, check_reference, number_of, read_table
-from pcwlad_geo.multi.stack_pairs import (
-    CONTROL_COLUMNS,
-    CONTROL_SIGMA_PX,
-    LEAST_CONTROL_SIGMA_PX,
-    Measured,
-    StackFrame,
-    StackPair,
-    check_place,
-    control_point,
-)
-from pcwlad_geo.multi.stack_result import (
-    NODES,
-    BlockNumbers,
-    Chosen,
-    DemCheck,
-    ImageRpc,
-    Misfit,
-    Stack,
-    StackImage,
-    compared,
-    placed_values,
-    raster_paths,
-)
+from pcwlad_geo.multi.stack_pairs import Measured, StackPair
+from pcwlad_geo.multi.stack_result import BlockNumbers, Chosen, DemCheck, ImageRpc, Misfit, Stack, StackImage
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
 from pcwlad_geo.raster.crs import WGS84, transform_xy

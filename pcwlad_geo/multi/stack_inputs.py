@@ -15,10 +15,12 @@ from typing import Any, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.products import BAND_OF, RASTERS, find_product, rasters_of
-from pcwlad_geo.raster.file_tree import is_folder
-from pcwlad_geo.raster.source import Bands, RasterInfo, describe, file_name, plain_name
-from pcwlad_geo.text import read_json, read_text
+from pcwlad_geo.products.finding import find_product
+from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, rasters_of
+from pcwlad_geo.raster.bands import Bands
+from pcwlad_geo.raster.file_tree import file_name, is_folder, plain_name
+from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.text import is_uri, read_json, read_text, whole
 from pcwlad_geo.types import PathLike
 
 DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
@@ -103,8 +105,13 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
         elif is_folder(place) and image not in products:
             files = rasters_of(place)
             if not files:
-                raise InputError(f"{image} holds no raster ({', '.join(RASTERS)})")
+                raise InputError(f"{image} holds no raster ({', '.join(RASTERS + PICTURES)})")
             yield from (_named(file, band) for file in files)
+        elif set(image) & set("*?[") and not (is_uri(image) or place.exists()):
+            raise InputError(
+                f"{image} is a pattern that no file matches: check the folder and the spelling, or name the "
+                "images, a folder, or a table"
+            )
         else:
             yield _named(image, band)
 
@@ -171,7 +178,7 @@ def _of_row(row: Mapping[str, str], folder: Path, band: int | str) -> StackInput
         if row.get(column):
             given[column] = number_of(row, column)
     text = row.get("band") or ""
-    own: int | str = (int(text) if text.isdecimal() and len(text) < 9 else text) if text else band
+    own = whole(text) or text or band
     return _named(os.fspath(folder / row["image"]), own, given)
 
 

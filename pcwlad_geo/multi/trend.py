@@ -16,9 +16,11 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.limits import COORDINATE, TREND_FIGURES, check_count
 from pcwlad_geo.multi.pages import environment
+from pcwlad_geo.multi.qa_result import QaNumbers
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.raster.source import file_name
-from pcwlad_geo.text import csv_of, read_json
+from pcwlad_geo.raster.file_tree import file_name
+from pcwlad_geo.report.content import Report
+from pcwlad_geo.text import csv_of, mismatch, read_json
 from pcwlad_geo.types import PathLike
 
 NAMES: Final = {"numbers": "trend.json", "table": "trend.csv", "report": "trend.html"}
@@ -162,6 +164,8 @@ def _moments(file: Path, top: Path) -> list[tuple[str, str, Moment]]:
         report = read_json(file)
         if not isinstance(report, dict) or "pcwlad-geo" not in report["versions"]:
             return []
+        if (wrong := mismatch(report, QaNumbers if file.name == "qa.json" else Report)) is not None:
+            raise ValueError(wrong)
         entries = list((_of_qa if file.name == "qa.json" else _of_registration)(report, file, top))
         for _, _, moment in entries:
             _check_moment(moment)
@@ -173,10 +177,8 @@ def _moments(file: Path, top: Path) -> list[tuple[str, str, Moment]]:
 def _check_moment(moment: Moment) -> None:
     """Raise `TypeError` or `ValueError` if a figure of a damaged report cannot be drawn."""
     numbers = [moment.n, *moment.mean_px, *([] if moment.ce90_px is None else [moment.ce90_px])]
-    if len(moment.mean_px) != 2 or not all(abs(number) <= COORDINATE for number in numbers):
-        raise ValueError("a figure is not finite, or there are not two of them")
-    if moment.passed not in (None, True, False):
-        raise ValueError("whether the requirements are met is neither yes nor no")
+    if not all(abs(number) <= COORDINATE for number in numbers):
+        raise ValueError("a figure is not finite")
     seconds_of(moment.date)
 
 

@@ -17,10 +17,11 @@ from datetime import date, datetime, timezone
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import numpy as np
 
+from pcwlad_geo.arguments import checked
 from pcwlad_geo.correction.error_statistics import float_pair
 from pcwlad_geo.correction.models import AffineCorrection, Correction, affine_between, from_dict
 from pcwlad_geo.errors import InputError
@@ -34,6 +35,7 @@ from pcwlad_geo.estimation.time_series import (
 )
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore, only_warnings
 from pcwlad_geo.limits import COORDINATE
+from pcwlad_geo.multi.finished_stack import RasterInfoOrError, described_again, frame_again
 from pcwlad_geo.multi.ground_motion import (
     DatedImage,
     GroundMotion,
@@ -42,29 +44,25 @@ from pcwlad_geo.multi.ground_motion import (
     page_data,
     write_motion,
 )
+from pcwlad_geo.multi.image_positions import NODES
 from pcwlad_geo.multi.network import MIN_EDGE_SIGMA_REDUNDANCY
 from pcwlad_geo.multi.rpc_block import MIN_BLOCK_SIGMA_REDUNDANCY
-from pcwlad_geo.multi.stack import VRT, RasterInfoOrError, described_again, frame_again, numbers_of, warp_onto
+from pcwlad_geo.multi.stack_catalogue import COLLECTION, Asset, stac_item, stac_texts
+from pcwlad_geo.multi.stack_frame import StackFrame
 from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_pairs import PairStatus, StackFrame
-from pcwlad_geo.multi.stack_result import (
-    COLLECTION,
-    NODES,
-    PAGE,
-    Asset,
-    StackRequirement,
-    stac_item,
-    stac_texts,
-)
-from pcwlad_geo.multi.stack_result import NUMBERS as STACK_NUMBERS
+from pcwlad_geo.multi.stack_numbers import NUMBERS as STACK_NUMBERS
+from pcwlad_geo.multi.stack_numbers import PAGE, StackRequirement, numbers_of
+from pcwlad_geo.multi.stack_outputs import VRT, warp_onto
 from pcwlad_geo.multi.trend import seconds_of
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.products import products_found_once
+from pcwlad_geo.products.finding import products_found_once
+from pcwlad_geo.raster.file_tree import plain_name
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import describe, plain_name
-from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.vrt import corrected_transform, referred
+from pcwlad_geo.report import figures
 from pcwlad_geo.report.content import versions
 from pcwlad_geo.report.page import page_environment, page_script
 from pcwlad_geo.requirements import Requirement, RequirementResult, parse_requirements
@@ -239,6 +237,7 @@ class WatchNumbers:
     """Of this program and of what it stands on."""
 
 
+@checked()
 @products_found_once()
 def watch(
     stack: PathLike,
@@ -344,18 +343,12 @@ def watch_folder(stack: PathLike, out_dir: PathLike | None) -> Path:
 
 
 def _checked(numbers: Mapping[str, Any], place: Path) -> Mapping[str, Any]:
-    """Return the content of stack.json; raises `InputError` if its pairs or names are not valid."""
+    """Return the content of stack.json; raises `InputError` if the figures of its pairs are not valid."""
     try:
-        names = [numbers["reference"], *(entry["name"] for entry in numbers["images"])]
         for pair in numbers["pairs"]:
-            names += [pair["reference"], pair["target"]]
             figures = [float(pair.get(name) or 0.0) for name in ("sigma_px", "redundancy")]
             if not all(0 <= figure <= COORDINATE for figure in figures):
                 raise ValueError("the figures of a pair are not valid numbers")
-            if pair["status"] not in get_args(PairStatus):
-                raise ValueError("a pair is neither used nor left out nor refused")
-        if not all(isinstance(name, str) for name in names):
-            raise TypeError("a name is not text")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{place} is damaged ({error}): stack the images again") from error
     return numbers
@@ -710,8 +703,6 @@ def _size(size_px: tuple[float, float], sigma_px: float, px_m: float | None) -> 
 
 def _page(found: WatchNumbers, raster: MotionRaster | None) -> str:
     """Return the page, which holds everything that it shows."""
-    from pcwlad_geo.report import figures  # slow to load: matplotlib
-
     lines = []
     days = np.array([image.date for series in found.series for image in series.images], "datetime64[D]")
     for series in found.series:
@@ -753,6 +744,6 @@ def _page(found: WatchNumbers, raster: MotionRaster | None) -> str:
 def _rows(found: WatchNumbers) -> Iterator[dict[str, object]]:
     for series in found.series:
         for image in series.images:
-            figures = [round(each, 6) for each in (*image.shift_px, image.sigma_px, *image.expected_px)]
-            row = [image.name, series.name, image.date, *figures, image.outlier]
+            numbers = [round(each, 6) for each in (*image.shift_px, image.sigma_px, *image.expected_px)]
+            row = [image.name, series.name, image.date, *numbers, image.outlier]
             yield dict(zip(COLUMNS, row, strict=True))

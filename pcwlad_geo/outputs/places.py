@@ -101,7 +101,16 @@ def alive(process: int) -> bool:
         return False
     except (OSError, OverflowError):
         return True
-    return True
+    return not _is_zombie(process)
+
+
+def _is_zombie(process: int) -> bool:
+    """Whether a process has ended and its parent has not asked for its status, as happens in containers."""
+    try:
+        status = Path(f"/proc/{process}/stat").read_bytes()
+    except OSError:  # another system than Linux, or it has ended meanwhile
+        return False
+    return status.rpartition(b")")[2].split()[:1] == [b"Z"]
 
 
 def make_folders(folder: Path) -> list[Path]:

@@ -18,8 +18,9 @@ from pcwlad_geo.correction.dense import Lattice
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned
+from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.limits import check_grid
-from pcwlad_geo.products import ProductBand
+from pcwlad_geo.products.product import ProductBand
 from pcwlad_geo.raster import vrt, warping
 from pcwlad_geo.raster.gdal import small_block_cache
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px, metres_between
@@ -33,7 +34,10 @@ from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.warping import scratch_folder, sink
 from pcwlad_geo.registration.inputs import requested_grid
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints.csv_file import write_csv
+from pcwlad_geo.tiepoints.format import PointRasters, TiePointFormat
+from pcwlad_geo.tiepoints.geopackage import write_geopackage
+from pcwlad_geo.tiepoints.readers import FORMATS
 from pcwlad_geo.types import Float64, Index
 
 if TYPE_CHECKING:  # slow to load; workers are started before
@@ -164,35 +168,19 @@ class Output(NamedTuple):
 
 
 def _tiepoints(job: Writing, path: Path) -> None:
-    writers.write_csv(job.registration.tie_points, path)
+    write_csv(job.registration.tie_points, path)
 
 
 def _geopackage(job: Writing, path: Path) -> None:
-    writers.write_geopackage(job.registration.tie_points, path, job.registration.target.grid)
-
-
-def _points(job: Writing, path: Path) -> None:
-    target = job.registration.target
-    on_ground = target.georeferenced and job.registration.rpc is None
-    writers.write_points(job.registration.tie_points, path, on_ground, target.grid)
-
-
-def _gcps(job: Writing, path: Path) -> None:
-    table = job.registration.tie_points
-    uri = job.registration.target.uri
-    writers.write_gcps_vrt(path, uri, table, table.crs, final_path=job.places["gcps"])
-
-
-def _envi(job: Writing, path: Path) -> None:
-    registration = job.registration
-    writers.write_envi(registration.tie_points, path, registration.reference.uri, registration.target.uri)
+    write_geopackage(job.registration.tie_points, path, job.registration.target.grid)
 
 
 def _corrected(job: Writing, path: Path) -> None:
     target, correction = job.registration.target, _correction(job.registration)
     if not isinstance(correction, AffineCorrection):
         raise TypeError(f"{correction.name} corrections have no geotransform")
-    vrt.write_corrected_vrt(path, target.uri, correction, target.grid, final_path=job.places["corrected"])
+    grid = target.grid.in_turn_of(ground_grid(job.registration.reference.grid))
+    vrt.write_corrected_vrt(path, target.uri, correction, grid, final_path=job.places["corrected"])
 
 
 def _rpc(job: Writing, path: Path) -> None:
@@ -230,6 +218,7 @@ def _in_geotransform(registration: Registration) -> bool:
 
 
 _ALWAYS: Final = Condition("always", lambda job: True)
+_PAGE: Final = Condition("unless `--no-report`", lambda job: not job.settings.no_report)
 _PDF: Final = Condition("with `--pdf`", lambda job: job.settings.pdf)
 _MATCHED: Final = Condition("unless the pair is refused", lambda job: job.status != "rejected")
 _CORRECTED: Final = Condition("`register`", lambda job: True, corrected=True)
@@ -243,17 +232,12 @@ _FIELD: Final = Condition(
 )
 OUTPUTS: Final = (
     Output("numbers", "report.json", _ALWAYS, "the report for programs, as report.schema.json describes it"),
-    Output("report", "report.html", _ALWAYS, "the report: verdict, views, figures, statistics, advice"),
+    Output("report", "report.html", _PAGE, "the report: verdict, views, figures, statistics, advice"),
     Output("pdf", "report.pdf", _PDF, "the report as PDF"),
     Output(
         "tiepoints", "tiepoints.csv", _ALWAYS, "positions, displacement, sigma, residual, status", _tiepoints
     ),
-    Output("geopackage", "tiepoints.gpkg", _ALWAYS, "the same for QGIS, styled by residual", _geopackage),
-    Output("points", "{name}.points", _MATCHED, "tie points for the QGIS Georeferencer", _points),
-    Output(
-        "gcps", "{stem}_gcps.vrt", _MATCHED, "the target with the tie points as GCPs, for `gdalwarp`", _gcps
-    ),
-    Output("envi", "{stem}.pts", _MATCHED, "tie points for ENVI (image to image)", _envi),
+    Output("geopackage", "tiepoints.gpkg", _PAGE, "the same for QGIS, styled by residual", _geopackage),
     Output(
         "corrected", "{stem}_corrected.vrt", _SHIFTED, "the target with corrected georeferencing", _corrected
     ),
@@ -271,11 +255,43 @@ OUTPUTS: Final = (
         lambda job, path: write_displacement(path, job.registration),
     ),
 )
-"""All files that a job may write, besides the other bands of a product."""
+"""The files that a job may write, besides those in formats of tie points and the other bands of a product."""
 NAMES: Final = {output.kind: output.name for output in OUTPUTS}
 """File names by kind."""
 
 
+def outputs() -> tuple[Output, ...]:
+    """Return all files that a job may write, besides the other bands of a product.
+
+    Raises `InputError` if a format of tie points of another package has the name of another output.
+    """
+    formats = tuple(FORMATS.ask(_of_format, Output))
+    kinds = [output.kind for output in (*OUTPUTS, *formats)]
+    twice = [kind for kind in kinds if kinds.count(kind) > 1]
+    if twice:
+        raise InputError(f"two packages have an output called {twice[0]}: uninstall one of them")
+    after = next(place for place, output in enumerate(OUTPUTS) if output.kind == "corrected")
+    return (*OUTPUTS[:after], *formats, *OUTPUTS[after:])
+
+
+def _of_format(form: TiePointFormat) -> Output | None:
+    """Return the output in a format of tie points; None for a format that is only read."""
+    write = form.write
+    if write is None:
+        return None
+
+    def write_table(job: Writing, path: Path) -> None:
+        registration = job.registration
+        reference, target = registration.reference, registration.target
+        on_map = target.georeferenced and registration.rpc is None
+        with FORMATS.blamed(form):
+            rasters = PointRasters(reference, target, on_map, job.places[form.name])
+            write(registration.tie_points, path, rasters)
+
+    return Output(form.name, form.file_name, _MATCHED, form.description, write_table)
+
+
+@one_library_thread()
 def write(
     registration: Registration,
     staged: Mapping[str, Path],
@@ -301,8 +317,9 @@ def write(
     if not corrects(registration):
         bands = {}
     grids = output_grids_of(registration, list(bands)) if registration.status == "registered" else []
-    written = [output.kind for output in OUTPUTS if output.is_of(registration)]
-    total = sum(output.write is not None for output in OUTPUTS if output.kind in written) + len(bands) + 1
+    table = outputs()
+    written = [output.kind for output in table if output.is_of(registration)]
+    total = sum(output.write is not None for output in table if output.kind in written) + len(bands) + 1
     on_event(Progress("writing", 0, total))
     names = [
         *(staged[kind].name for kind in written if kind not in elsewhere),
@@ -321,8 +338,8 @@ def write(
     seconds = registration.seconds | {"writing": time.perf_counter() - since, "report": seconds_drawing}
     rasters = [staged["raster"]] if "raster" in written and "raster" not in elsewhere else []
     attached = [file.name for raster in (*rasters, *bands.values()) for file in files_of(raster)[1:]]
-    outputs, warnings = tuple(sorted([*names, *attached])), (*registration.warnings, *messages)
-    _write_report(replace(report, warnings=warnings, outputs=outputs), drawings, staged, seconds)
+    files, warnings = tuple(sorted([*names, *attached])), (*registration.warnings, *messages)
+    _write_report(replace(report, warnings=warnings, outputs=files), drawings, staged, seconds)
     on_event(Progress("writing", total, total))
     return written, tuple(messages)
 
@@ -332,7 +349,7 @@ def _write_files(
 ) -> Iterator[Path]:
     """Write all files but the reports; yield each that is done."""
     registration, settings = job.registration, job.registration.settings
-    for output in OUTPUTS:
+    for output in outputs():
         if output.write is not None and output.is_of(registration):
             output.write(job, staged[output.kind])
             yield staged[output.kind]
@@ -345,40 +362,50 @@ def _write_files(
 
 
 def _write_report(
-    report: Report, drawings: Drawings, staged: Mapping[str, Path], seconds: dict[str, float]
+    report: Report, drawings: Drawings | None, staged: Mapping[str, Path], seconds: dict[str, float]
 ) -> None:
-    """Write the report's page, as PDF too where that is wanted, and its numbers, with the `seconds` spent."""
+    """Write the report's numbers, with the `seconds` spent, and its page where there are drawings for it."""
     from pcwlad_geo.report.content import SECONDS_DIGITS, rounded, to_json
-    from pcwlad_geo.report.page import report_page, to_pdf
 
     report = replace(report, seconds=rounded(seconds, SECONDS_DIGITS))
-    staged["report"].write_text(report_page(report, drawings), encoding="utf-8", newline="\n")
-    if report.settings.pdf:
-        since = time.perf_counter()
-        staged["pdf"].write_bytes(to_pdf(report_page(report, drawings, paper=True)))
-        seconds = seconds | {"pdf": time.perf_counter() - since}
+    if drawings is not None:
+        seconds = seconds | _write_page(report, drawings, staged)
         report = replace(report, seconds=rounded(seconds, SECONDS_DIGITS))
     staged["numbers"].write_text(to_json(report), encoding="utf-8", newline="\n")
 
 
+def _write_page(report: Report, drawings: Drawings, staged: Mapping[str, Path]) -> dict[str, float]:
+    """Write the report's page, as PDF too where that is wanted; return the seconds that the PDF took."""
+    from pcwlad_geo.report.page import report_page, to_pdf
+
+    staged["report"].write_text(report_page(report, drawings), encoding="utf-8", newline="\n")
+    if not report.settings.pdf:
+        return {}
+    since = time.perf_counter()
+    staged["pdf"].write_bytes(to_pdf(report_page(report, drawings, paper=True)))
+    return {"pdf": time.perf_counter() - since}
+
+
 def _draw(
     registration: Registration, names: Sequence[str], grids: Sequence[Grid], gcps: str | None
-) -> tuple[Report, Drawings, float]:
+) -> tuple[Report, Drawings | None, float]:
     """Return the report, the drawings of its page, and the seconds they took, with the loading of libraries.
 
     The output files have the `names`, the raster is on the first of the `grids`; `gcps` is that with GCPs.
+    There are no drawings where no page is wanted.
     """
     # inside: slow to load, which the job may have done meanwhile
     from pcwlad_geo.report.content import summarise
-    from pcwlad_geo.report.figures import close_fonts
-    from pcwlad_geo.report.page import compose
     from pcwlad_geo.report.statistics import precision_of
 
     since = time.perf_counter()
     precision = precision_of(registration)
     report = summarise(registration, names, precision, grids[0] if grids else None)
-    drawings = compose(registration, report, gcps, precision)
-    close_fonts()  # those of this thread, which ends here
+    drawings = None
+    if not registration.settings.no_report:
+        from pcwlad_geo.report.page import compose
+
+        drawings = compose(registration, report, gcps, precision)
     return report, drawings, time.perf_counter() - since
 
 

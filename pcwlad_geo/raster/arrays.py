@@ -20,8 +20,10 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError, OutputError
-from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, open_own
+from pcwlad_geo.in_memory import is_array, nodata_of, pixels_of
+from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
 from pcwlad_geo.raster.grid import apply, apply_inverse
+from pcwlad_geo.raster.opening import open_own
 from pcwlad_geo.text import Shown
 from pcwlad_geo.types import PathLike
 
@@ -165,17 +167,19 @@ def _place_of(raster: object) -> str | None:
 
 
 def is_dataset(raster: object) -> TypeGuard[DatasetReader]:
-    """Return whether this is a dataset of rasterio, a WarpedVRT included."""
-    return all(hasattr(raster, name) for name in ("read", "profile", "dataset_mask", "closed"))
+    """Return whether this is a dataset of rasterio, a WarpedVRT included; a closed one has no profile."""
+    return all(hasattr(type(raster), name) for name in ("read", "profile", "dataset_mask", "closed"))
 
 
 def is_data_array(raster: object) -> TypeGuard[DataArrayLike]:
     """Return whether this is an `xarray.DataArray`; its pixels, which may be computed late, are not asked."""
-    return all(hasattr(raster, name) for name in ("dims", "coords", "attrs", "encoding"))
+    return is_array(raster) and all(hasattr(raster, name) for name in ("dims", "coords", "attrs", "encoding"))
 
 
 def _has_file(dataset: DatasetReader) -> bool:
-    """Return whether others can open what a dataset shows; raise where it is being written."""
+    """Return whether others can open what a dataset shows; raise where it is closed or being written."""
+    if dataset.closed:
+        raise InputError(f"the dataset {dataset.name} is closed: open it again, or give its path")
     if getattr(dataset, "mode", "r") != "r":
         raise InputError(f"{dataset.name} is open for writing: close it, and open it for reading")
     return isinstance(dataset, DatasetReader) and not str(dataset.name).startswith("/vsimem/")
@@ -207,10 +211,10 @@ def to_raster(raster: object) -> Raster:
     """
     if isinstance(raster, Raster):
         return raster
-    if isinstance(raster, np.ndarray):
-        return Raster(raster)
     if is_data_array(raster):
         return _from_data_array(raster)
+    if is_array(raster):
+        return Raster(raster)
     raise InputError(
         f"{_kind(raster)} is no raster: give a path, an open rasterio dataset, a NumPy array, "
         "pcwlad_geo.Raster(array, transform, crs), or an xarray.DataArray"
@@ -223,11 +227,13 @@ def _kind(value: object) -> str:
 
 def _checked(array: object) -> NDArray[Any]:
     """Return an array that GDAL can hold."""
-    if not isinstance(array, np.ndarray) or array.ndim not in (2, 3) or 0 in array.shape:
-        shape = f" of shape {array.shape}" if isinstance(array, np.ndarray) else ""
+    shape = array.shape if is_array(array) else ()
+    if len(shape) not in (2, 3) or 0 in shape:
         raise InputError(
-            f"{_kind(array)}{shape} is no raster: give an array of (rows, cols) or (bands, rows, cols)"
+            f"{_kind(array)} of shape {shape} is no raster: give an array of (rows, cols) or (bands, rows, "
+            "cols)"
         )
+    array = pixels_of(array)
     array = array.astype(_STORED.get(array.dtype.name, array.dtype), copy=False)
     if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
         raise InputError(
@@ -297,7 +303,7 @@ def read_raster(path: str | Path) -> Raster:
 
 def _from_data_array(data: DataArrayLike) -> Raster:
     """Return a DataArray as a raster, placed by its coordinates and its `spatial_ref`."""
-    values = np.asarray(data.values)
+    values = pixels_of(data)
     if values.ndim not in (2, 3) or str(data.dims[-1]) not in X_NAMES or str(data.dims[-2]) not in Y_NAMES:
         raise InputError(
             f"a DataArray with the dimensions {', '.join(map(str, data.dims)) or 'none'} is no raster: they "
@@ -306,8 +312,7 @@ def _from_data_array(data: DataArrayLike) -> Raster:
     name = _mapping_name(data)
     place: Mapping[Any, Any] = data.coords[name].attrs if name in data.coords else {}
     text = place.get("crs_wkt") or place.get("spatial_ref")
-    nodata = data.attrs.get("_FillValue", data.attrs.get("missing_value"))
-    return Raster(values, _transform_of(data, place), text, None if nodata is None else float(nodata))
+    return Raster(values, _transform_of(data, place), text, nodata_of(data, values.dtype))
 
 
 def _mapping_name(data: DataArrayLike) -> str:
@@ -351,9 +356,9 @@ def like_the_source(raster: Raster, source: object) -> object:
     pixels = source.array if isinstance(source, Raster) else source
     if not is_dataset(source) and len(getattr(pixels, "shape", ())) == 2:
         raster = Raster(raster.array[0], raster.transform, raster.crs, raster.nodata)
-    if isinstance(source, np.ndarray):
-        return raster.array
-    return _to_data_array(raster, source) if is_data_array(source) else raster
+    if is_data_array(source):
+        return _to_data_array(raster, source)
+    return raster.array if is_array(source) else raster
 
 
 def _to_data_array(raster: Raster, source: DataArrayLike) -> DataArrayLike:

@@ -27,8 +27,16 @@ RATIO: Final = (1 / 64, 64.0)
 """Smallest and largest ratio of the pixels of two frames that is believed."""
 STATED_FROM: Final = 1.05
 """Ratio of the pixels from which it is told."""
+GUESSED_FROM: Final = 2.0
+"""Ratio of the pixels of two frames from which a guess of their scale reaches much farther than none."""
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns# "
 """Elements of lists, which name nothing."""
+_DJI: Final = "http://www.dji.com/drone-dji/1.0/ "
+NADIR_DEG: Final = -90.0
+"""GimbalPitchDegree of a camera that looks straight down."""
+MAX_TILT_DEG: Final = 20.0
+"""Largest stated tilt from there with which a camera counts as above the ground that it shows."""
+_UNSIGNED: Final = re.compile(r"\d+(?:\.\d+)?")
 _NUMBER: Final = re.compile(r"[(\s]*([+-]?\d+(?:\.\d+)?)\s*\)?\s*$")
 
 
@@ -42,6 +50,8 @@ class Camera:
     """Height above the place of start, or of the ground, as drones write it."""
     altitude_m: float | None
     """Height above the sea."""
+    position: tuple[float, float] | None = None
+    """Latitude and longitude, degrees; None where they are not told, or the camera looks aside."""
     contradicts: bool = False
     """Whether two statements about the focal length contradict each other."""
 
@@ -50,19 +60,20 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
     """Return what an open raster says of its camera; None if nothing.
 
     Read are EXIF tags (FocalLength with the resolution of the focal plane, FocalLengthIn35mmFilm,
-    GPSAltitude) and the attribute or element RelativeAltitude of DJI's XMP.
+    GPSAltitude, GPSLatitude, GPSLongitude) and RelativeAltitude and GimbalPitchDegree of DJI's XMP.
     """
-    exif = tags_of(dataset, "EXIF")
-    match = _NUMBER.match(
-        xmp_of(dataset).get("http://www.dji.com/drone-dji/1.0/ RelativeAltitude", ("",))[0][:40]
-    )
+    exif = exif_of(dataset)
+    drone = {name.partition(_DJI)[2]: values[0][:40] for name, values in xmp_of(dataset).items()}
+    match, pitch = (_NUMBER.match(drone.get(name, "")) for name in ("RelativeAltitude", "GimbalPitchDegree"))
     relative = _within(float(match[1]), (0.5, 2e4)) if match else None
+    looks_aside = pitch is not None and abs(float(pitch[1]) - NADIR_DEG) > MAX_TILT_DEG
     if not exif and relative is None:
         return None
     focal = [each for each in (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)) if each]
     contradicts = len(focal) == 2 and max(focal) > MAX_FOCAL_RATIO * min(focal)
     plausible = focal[0] if focal and not contradicts else None
-    camera = Camera(plausible, relative, number_of(exif, "GPSAltitude"), contradicts)
+    position = None if looks_aside else _position(exif)
+    camera = Camera(plausible, relative, number_of(exif, "GPSAltitude"), position, contradicts)
     known = (plausible, camera.height_m, camera.altitude_m)
     return camera if contradicts or any(each is not None for each in known) else None
 
@@ -73,6 +84,15 @@ def tags_of(dataset: DatasetReader, domain: str) -> Mapping[str, str]:
     with suppress(*LIBRARY_ERRORS):
         found = dataset.tags(ns=domain)
     return found
+
+
+def exif_of(dataset: DatasetReader) -> Mapping[str, str]:
+    """Return the EXIF tags of an open raster, named ``EXIF_…``.
+
+    GDAL has them in the domain EXIF of a GeoTIFF, and among the general tags of a JPEG, PNG or WebP file.
+    """
+    general = {name: text for name, text in tags_of(dataset, "").items() if name.startswith("EXIF_")}
+    return general | dict(tags_of(dataset, "EXIF"))
 
 
 def expected_scale(reference: Camera | None, target: Camera | None) -> tuple[float | None, str | None]:
@@ -98,6 +118,22 @@ def expected_scale(reference: Camera | None, target: Camera | None) -> tuple[flo
     return scale, f"by the cameras' data the target's pixels are {size:.1f} times as {word}"
 
 
+def guessed_scale(
+    reference: Camera | None, target: Camera | None, shapes: tuple[tuple[int, int], tuple[int, int]]
+) -> float | None:
+    """Return a guess of the scale, target px per reference px, of two frames that do not tell it.
+
+    Both may be taken from one height, where their focal lengths are known, or else see equal fields of view.
+    None where the guess is near 1 or not believed. The `shapes` are rows and columns of both.
+    """
+    if reference and target and reference.focal_px and target.focal_px:
+        guess = target.focal_px / reference.focal_px
+    else:
+        guess = math.hypot(*shapes[1]) / math.hypot(*shapes[0])
+    is_far = max(guess, 1 / guess) > GUESSED_FROM
+    return guess if is_far and RATIO[0] <= guess <= RATIO[1] else None
+
+
 def _lacking(reference: Camera | None, target: Camera | None) -> str | None:
     """Return what keeps the scale from being known; None if nothing."""
     for which, camera in (("reference", reference), ("target", target)):
@@ -113,6 +149,22 @@ def _lacking(reference: Camera | None, target: Camera | None) -> str | None:
     if heights[0] is None or heights[1] is None or abs(heights[0] - heights[1]) > 1.0:
         return "the cameras' heights above the ground are not known of both frames"
     return None
+
+
+def _position(exif: Mapping[str, str]) -> tuple[float, float] | None:
+    """Return latitude and longitude by EXIF's degrees, minutes and seconds; None without a position."""
+    position = []
+    for name, positive, negative, most in (
+        ("GPSLatitude", "N", "S", 90.0),
+        ("GPSLongitude", "E", "W", 180.0),
+    ):
+        side = exif.get(f"EXIF_{name}Ref", "").strip("\x00 ")
+        parts = [float(number) for number in _UNSIGNED.findall(exif.get(f"EXIF_{name}", "")[:80])[:3]]
+        degrees = sum(part / 60**power for power, part in enumerate(parts))
+        if not parts or side not in (positive, negative) or degrees > most:
+            return None
+        position.append(degrees if side == positive else -degrees)
+    return (position[0], position[1]) if any(position) else None  # a receiver without a fix writes zeros
 
 
 def _by_focal_plane(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:

@@ -72,8 +72,40 @@ def transform_xy(xy: Float64, from_crs: CRS | None, to_crs: CRS | None) -> Float
         return xy
     if from_crs is None or to_crs is None:
         raise InputError("cannot transform coordinates from or to a raster without a CRS: assign one")
+    xy = in_turn(xy, 0.0, turn_of(from_crs))  # PROJ finds operations by the longitudes from -180 to 180
     moved = np.column_stack(with_arrays(_transformer(from_crs, to_crs).transform, xy[:, 0], xy[:, 1]))
     return np.where(np.isfinite(moved), moved, np.nan)
+
+
+@lru_cache(maxsize=64)
+def turn_of(crs: CRS | None) -> float:
+    """Return by how many map units x grows in one turn around the earth.
+
+    It is infinite where that is no place on the map again: in all but geographic CRSs and cylindrical
+    projections, in which x is proportional to the longitude at every latitude.
+    """
+    if crs is None:
+        return math.inf
+    described = to_pyproj(crs)
+    if described.is_geographic:
+        return 2 * math.pi / _unit(described)
+    if described.geodetic_crs is None or not described.is_projected:
+        return math.inf
+    to_map = pyproj.Transformer.from_crs(described.geodetic_crs, described, always_xy=True)
+    lon, lat = np.meshgrid([-119.0, 1.0, 61.0], [-50.0, 0.0, 37.0])
+    with np.errstate(invalid="ignore"):
+        degree = np.abs(np.subtract(to_map.transform(lon, lat)[0], to_map.transform(lon - 1.0, lat)[0]))
+    return 360.0 * float(degree[0, 0]) if np.ptp(degree) <= 1e-9 * degree[0, 0] else math.inf
+
+
+def in_turn(xy: Float64, x: float, turn: float) -> Float64:
+    """Return the (n, 2) map coordinates `xy`, whole turns around the earth added: each is nearest `x`.
+
+    What is half a turn away, but for rounding, stays as it is: the edge of a map of the whole earth.
+    """
+    if math.isinf(turn):
+        return xy
+    return np.column_stack([xy[:, 0] - turn * np.rint((xy[:, 0] - x) / turn * (1 - 1e-9)), xy[:, 1]])
 
 
 def with_arrays(method: Callable[..., Sequence[Any]], *arrays: Float64) -> tuple[Float64, ...]:
@@ -139,7 +171,7 @@ def displacement_m(xy_from: Float64, xy_to: Float64, crs: CRS | None) -> Float64
     step = xy_to - xy_from
     if ground is None:
         return step * _unit(to_pyproj(crs))
-    step = ground.shortest(step)
+    step = in_turn(step, 0.0, turn_of(crs))
     return ground.along_m(xy_from, step, ground.stretch(xy_from + step / 2))
 
 
@@ -175,13 +207,6 @@ class _Ground:
         self._degrees = math.degrees(_unit(geographic))
         # a degree of a meridian is 111 km, within 1 %
         self._probe = _PROBE_M / (111e3 * self._degrees if described.is_geographic else _unit(described))
-        self._round = 360.0 / self._degrees if described.is_geographic else math.inf
-
-    def shortest(self, step: Float64) -> Float64:
-        """Return (n, 2) map steps, those in longitude reduced to at most half a turn."""
-        if math.isinf(self._round):
-            return step
-        return step - np.column_stack([np.rint(step[:, 0] / self._round) * self._round, 0.0 * step[:, 1]])
 
     def length_m(self, xy_from: Float64, xy_to: Float64) -> Float64:
         """Return the lengths (n,) of geodesics between (n, 2) map coordinates."""

@@ -1,4 +1,4 @@
-"""The files of a folder, a .zip or a .tar, by name, and how GDAL opens them."""
+"""Names of files: the last part of a path or URI, the files of a folder, a .zip or a .tar."""
 
 from __future__ import annotations
 
@@ -28,6 +28,21 @@ _DAMAGED: Final = (
 """Exceptions of Python's archive readers for damaged, encrypted or unsupported archives."""
 _SUBFILE: Final = re.compile(r"/vsisubfile/\d+_\d+_(?P<name>[^/,]+),.*", re.DOTALL)
 """A file inside an archive by its offset: GDAL ignores the name, which only this program reads."""
+
+
+def file_name(uri: str) -> str:
+    """Return the last part of a path or GDAL URI, without the prefix and options of a vrt:// connection."""
+    return name_of_uri(plain_uri(uri))
+
+
+def plain_uri(uri: str) -> str:
+    """Return a path or GDAL URI without the prefix and options of a vrt:// connection."""
+    return uri.removeprefix("vrt://").partition("?")[0] if uri.startswith("vrt://") else uri
+
+
+def plain_name(name: str) -> str:
+    """Return a name usable for output files: no reserved character, no leading dot, never empty."""
+    return re.sub(r'[<>:"/\\|?*\x00-\x1f]+', "_", name).lstrip(".") or "raster"
 
 
 @dataclass(frozen=True, slots=True)

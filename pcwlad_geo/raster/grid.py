@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from affine import Affine
-from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
 from pcwlad_geo.correction.dense import positions
-from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.estimation.solving import inverse, solve
-from pcwlad_geo.raster.crs import displacement_m, transform_xy
+from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.raster.crs import displacement_m, in_turn, transform_xy, turn_of
 from pcwlad_geo.types import Float64
 
 if TYPE_CHECKING:
@@ -76,6 +73,19 @@ class Window:
         """Return the window of a whole raster of (rows, columns)."""
         return Window(0, 0, *shape)
 
+    @staticmethod
+    def spread(shape: tuple[int, int], side_px: int, across: int) -> list[Window]:
+        """Return windows spread evenly over a raster, `across` along each axis, fewer where it is small.
+
+        They have `side_px`, or less where a side of the raster has less.
+        """
+        rows, cols = min(shape[0], side_px), min(shape[1], side_px)
+        first_rows, first_cols = (
+            np.unique(np.linspace(0, size - side, across).astype(int)).tolist()
+            for size, side in zip(shape, (rows, cols), strict=True)
+        )
+        return [Window(row, col, rows, cols) for row in first_rows for col in first_cols]
+
     def intersection(self, other: Window) -> Window:
         """Return the intersection of two windows; empty where they do not meet."""
         return Window.from_bounds(
@@ -119,33 +129,6 @@ class Window:
         )
 
 
-def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] | None:
-    """Fit a geotransform to ground control points by least squares; None if fewer than three, or on a line.
-
-    Pixel and line are corner-based: (0, 0) is the top-left corner of the first pixel. The second result is
-    the largest residual of a control point, px; infinite for a geotransform that cannot be inverted.
-    """
-    if len(gcps) < 3:
-        return None
-    px = np.array([[gcp.col, gcp.row] for gcp in gcps], dtype=np.float64)
-    xy = np.array([[gcp.x, gcp.y] for gcp in gcps], dtype=np.float64)
-    if not (np.isfinite(px).all() and np.isfinite(xy).all()):
-        return None
-    if _on_a_line(px) or _on_a_line(xy):
-        return None
-    (a, b, c), (d, e, f) = affine_between(px, xy).tolist()
-    transform = Affine(a, b, c, d, e, f)
-    if not is_invertible(linear_part(transform)):
-        return transform, np.inf
-    residual_px = solve(linear_part(transform), (xy - apply(transform, px)).T)
-    return transform, float(np.linalg.norm(residual_px, axis=0).max())
-
-
-def _on_a_line(points: Float64) -> bool:
-    large, small = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(small <= 1e-6 * large)
-
-
 @dataclass(frozen=True, slots=True)
 class Grid:
     """The position of the pixels of a raster: shape, geotransform and CRS."""
@@ -179,6 +162,27 @@ class Grid:
     def to_px(self, xy: Float64) -> Float64:
         """Map (n, 2) map coordinates `xy` (x, y) to (n, 2) pixel coordinates (col, row)."""
         return apply_inverse(self.transform, xy)
+
+    @property
+    def turn(self) -> float:
+        """Map units of one turn around the earth, see `turn_of`; infinite where x does not count turns."""
+        return turn_of(self.crs)
+
+    @property
+    def turn_px(self) -> Float64 | None:
+        """Pixels (col, row), (2,), of one turn around the earth; None where x does not count turns."""
+        return inverse(linear_part(self.transform)) @ [self.turn, 0.0] if np.isfinite(self.turn) else None
+
+    def in_turn(self, xy: Float64) -> Float64:
+        """Return the (n, 2) map coordinates `xy` in the turn around the earth that is nearest the middle."""
+        return in_turn(xy, apply(self.transform, self.middle_px)[0, 0], self.turn)
+
+    def in_turn_of(self, other: Grid) -> Self:
+        """Return this grid with whole turns around the earth added, nearest another with the same turn."""
+        middle = apply(self.transform, self.middle_px)
+        x = float((other.in_turn(middle) - middle)[0, 0]) if self.turn == other.turn else 0.0
+        a, b, c, d, e, f = tuple(self.transform)[:6]
+        return replace(self, transform=Affine(a, b, c + x, d, e, f)) if x else self
 
     def part(self, origin_px: tuple[float, float], shape: tuple[int, int]) -> Self:
         """Return the grid of the same pixels from `origin_px` (col, row) on, with `shape` (rows, columns)."""
@@ -275,14 +279,16 @@ def composed(
 def map_px(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
     """Map the (n, 2) `points_px` of one grid to the (n, 2) pixels of the same ground in another.
 
-    They are (col, row), corner-based; NaN where the transformation between the CRSs is not defined. Raises
-    `InputError` if no transformation exists between the CRSs, or only one grid has a CRS.
+    They are (col, row), corner-based; NaN where the transformation between the CRSs is not defined, and of
+    the turns around the earth in that which is nearest the middle of `to_grid`. Raises `InputError` if no
+    transformation exists between the CRSs, or only one grid has a CRS.
     """
     points_px = np.asarray(points_px, dtype=np.float64)
     plain = type(from_grid) is Grid and type(to_grid) is Grid
     if plain and from_grid.transform == to_grid.transform and from_grid.crs == to_grid.crs:
         return points_px
-    return to_grid.to_px(transform_xy(from_grid.to_xy(points_px), from_grid.crs, to_grid.crs))
+    xy = transform_xy(from_grid.to_xy(points_px), from_grid.crs, to_grid.crs)
+    return to_grid.to_px(to_grid.in_turn(xy))
 
 
 def metres_between(grid: Grid, from_px: Float64, to_px: Float64, crs: CRS) -> Float64:
@@ -303,7 +309,11 @@ def jacobian(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
         map_px(points_px + step, from_grid, to_grid) - map_px(points_px - step, from_grid, to_grid)
         for step in steps
     ]
-    return np.stack(sides, axis=2)
+    slopes, turn_px = np.stack(sides, axis=2), to_grid.turn_px
+    if turn_px is not None:  # a step from one end of the earth to the other is short
+        turns = np.rint(np.einsum("i,nij->nj", turn_px / (turn_px @ turn_px), slopes))
+        slopes -= turn_px[:, None] * turns[:, None, :]
+    return slopes
 
 
 def pixel_size_m(grid: Grid, at_px: tuple[float, float] | Float64) -> tuple[float, float] | None:

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.source import open_raster, plain_uri
-from pcwlad_geo.raster.trust import HEAD_BYTES, kind_of_head
+from pcwlad_geo.raster.file_tree import plain_uri
+from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.trust.file_kinds import HEAD_BYTES, kind_of_head
 
 HEADER_BYTES: Final = 65536
 """Number of bytes at the beginning of a file that count as its header."""

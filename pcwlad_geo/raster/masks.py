@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Final, Literal, get_args
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from rasterio.crs import CRS
-from rasterio.features import rasterize
 from shapely.geometry.polygon import orient
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import AREAS, check_count
-from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.file_tree import name_of_uri
-from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
-from pcwlad_geo.raster.grid import Grid, Window
-from pcwlad_geo.raster.trust import current_trust
-from pcwlad_geo.text import check_regular, read_bytes
-from pcwlad_geo.types import Bool, Float64, PathLike
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.types import Bool, Float64
 
 MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI"]
 """zeros: 0 = excluded; the other kinds have the names that the products give them."""
@@ -457,156 +448,3 @@ def _side_of(
     normal *= np.sign(normal @ outward)
     a, b = normal.tolist()
     return a, b, float(normal @ places[0])
-
-
-@dataclass(frozen=True, slots=True)
-class Areas:
-    """Ground that counts, as polygons in the map coordinates of a raster."""
-
-    within: bytes | None
-    """Well-known binary of the polygons beyond which nothing counts; None where all does."""
-    without: bytes | None
-    """Well-known binary of those in which nothing counts."""
-
-    def valid(self, window: Window, grid: Grid) -> Bool:
-        """Return the (rows, cols) pixels of a `window` of a `grid` whose centres count."""
-        found = np.ones(window.shape, dtype=bool)
-        for polygons, counts in ((self.within, True), (self.without, False)):
-            if polygons is not None:
-                found &= _covered(polygons, window, grid) == counts
-        return found
-
-
-VECTOR_BEGINNINGS: Final = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb", b"{")
-"""What the files begin with that are read: GeoPackage, Shapefile, FlatGeobuf, GeoJSON. None names others."""
-
-
-def read_areas(path: PathLike, grid: Grid) -> bytes:
-    """Return the polygons of a vector file around a grid, in its map coordinates, as well-known binary.
-
-    Raises `InputError` if the file at `path` is missing or of another format, has several layers, no CRS or
-    no polygons, or its CRS has no relation to that of the `grid`.
-    """
-    name = _checked_vector(path)
-    shapes, crs, box = (_shapes_of_kml if _is_kml(name) else _shapes_by_ogr)(name, grid)
-    kinds = set(shapely.get_type_id(shapes).tolist())
-    if not kinds <= {shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON}:
-        raise InputError(f"{name} holds other than polygons: give areas (of lines or points a buffer)")
-    left, bottom, right, top = box
-    near = shapely.clip_by_rect(shapely.union_all(shapely.make_valid(shapes)), *box)
-    edges = shapely.segmentize(near, max(right - left, top - bottom) / 192)  # in another CRS they are curved
-    placed = shapely.transform(edges, lambda xy: transform_xy(xy, crs, grid.crs))
-    return bytes(shapely.to_wkb(shapely.make_valid(placed)))
-
-
-Shapes = tuple[NDArray[np.object_], CRS, tuple[float, float, float, float]]
-"""Geometries, their CRS, and in it left, bottom, right, top of where they are of use."""
-
-
-def _shapes_by_ogr(name: str, grid: Grid) -> Shapes:
-    """Return the geometries around a grid of a vector file that OGR opens.
-
-    Raises `InputError` if it cannot, or the file has several layers or no CRS.
-    """
-    import pyogrio.raw  # slow to load, and seldom needed
-
-    try:
-        with ignoring(Warning):  # of fields, which are not read
-            layers = pyogrio.list_layers(name)
-            if len(layers) != 1:
-                raise InputError(
-                    f"{name} has {len(layers)} layers: write that of the areas to a file of its own"
-                )
-            found_crs = pyogrio.read_info(name)["crs"]
-            if not found_crs:
-                raise InputError(f"{name} has no CRS: assign it (ogr2ogr -a_srs EPSG:… areas.gpkg {name})")
-            crs = CRS.from_user_input(found_crs)
-            box = _surroundings(transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, crs))
-            _, _, found, _ = pyogrio.raw.read(
-                name, columns=[], force_2d=True, max_features=AREAS + 1, bbox=box
-            )
-        check_count(name, len(found), AREAS, "areas")
-        return shapely.from_wkb(found), crs, box
-    except (
-        *LIBRARY_ERRORS,
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        ValueError,
-    ) as error:
-        raise InputError(f"{name} cannot be read as a vector file: {error}") from error
-
-
-def _is_kml(name: str) -> bool:
-    return Path(name).suffix.lower() == ".kml"
-
-
-def _shapes_of_kml(name: str, grid: Grid) -> Shapes:
-    """Return the geometries of all folders of a KML file, whose links and styles are not followed.
-
-    Raises `InputError` if it cannot be understood.
-    """
-    box = _surroundings(transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, WGS84))
-    try:
-        root = ET.fromstring(read_bytes(Path(name)))
-        others = [root.find(f".//{{*}}{kind}") is not None for kind in ("Point", "LineString")]
-        found = [
-            shapely.Polygon(
-                _ring(each.find("{*}outerBoundaryIs")), list(map(_ring, each.findall("{*}innerBoundaryIs")))
-            )
-            for each in root.findall(".//{*}Polygon")
-        ]
-    except OSError as error:
-        raise InputError(f"{name} cannot be opened: {error}") from error
-    except (ET.ParseError, ValueError, shapely.errors.ShapelyError) as error:
-        raise InputError(f"{name} cannot be read as KML: {error}") from error
-    check_count(name, len(found), AREAS, "areas")
-    shapes = np.array([*found, *([shapely.Point()] if any(others) else [])], dtype=object)
-    return shapes, WGS84, box
-
-
-def _ring(boundary: ET.Element | None) -> Float64:
-    """Return the (n, 2) longitudes and latitudes of a boundary of a polygon."""
-    text = "" if boundary is None else boundary.findtext(".//{*}coordinates", "")
-    lon_lat = np.array([[float(number) for number in place.split(",")[:2]] for place in text.split()])
-    if not np.isfinite(lon_lat).all():
-        raise ValueError("a coordinate is no number")
-    return lon_lat
-
-
-def _surroundings(xy: Float64) -> tuple[float, float, float, float]:
-    """Return left, bottom, right, top of (n, 2) coordinates that are known, and as much on each side."""
-    low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
-    left, bottom, right, top = np.concatenate([low - (high - low), high + (high - low)]).tolist()
-    return left, bottom, right, top
-
-
-def _checked_vector(path: PathLike) -> str:
-    """Return the name of a vector file whose format cannot name other files, unless it is trusted."""
-    name = str(path)
-    check_regular(name)
-    if current_trust().vrt or _is_kml(name):
-        return name
-    try:
-        with Path(name).open("rb") as file:
-            begin = file.read(16).lstrip(b"\xef\xbb\xbf \t\r\n")
-    except IsADirectoryError:
-        begin = b""
-    except (OSError, ValueError) as error:
-        raise InputError(f"{name} cannot be opened: {error}") from error
-    if not begin.startswith(VECTOR_BEGINNINGS):
-        raise InputError(
-            f"{name} is no GeoPackage, GeoJSON, Shapefile (.shp), FlatGeobuf or KML: convert it "
-            f"(ogr2ogr areas.gpkg {name}), or give --trust-vrt, with which all that OGR reads is read"
-        )
-    return name
-
-
-def _covered(polygons: bytes, window: Window, grid: Grid) -> Bool:
-    """Return the (rows, cols) pixels of a window whose centres the polygons cover."""
-    corner_px = np.array([window.col, window.row], np.float64)
-    border_px = corner_px + Grid(window.shape, grid.transform, grid.crs).boundary_px()
-    near = shapely.clip_by_rect(shapely.from_wkb(polygons), *_surroundings(grid.to_xy(border_px)))
-    if near.is_empty:
-        return np.zeros(window.shape, dtype=bool)
-    placed = shapely.transform(near, lambda xy: grid.to_px(xy) - corner_px)
-    return np.asarray(rasterize([placed], window.shape, dtype="uint8"), bool)

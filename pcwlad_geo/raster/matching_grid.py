@@ -1,4 +1,4 @@
-"""The grid that a pair is matched on: common longitudes, a common plane, pixels of one size."""
+"""The grid that a pair is matched on: a common plane, pixels of one size."""
 
 from __future__ import annotations
 
@@ -7,48 +7,17 @@ from typing import Final
 
 import numpy as np
 import shapely
-from affine import Affine
 
+from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_pixel_ratio
-from pcwlad_geo.raster.crs import name_of, transform_xy, transformation_warnings
+from pcwlad_geo.raster.crs import displacement_m, name_of, transformation_warnings
 from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, jacobian, linear_part, map_px
-from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.view import View, ViewResampling
+from pcwlad_geo.raster.overlap import bounds_of, common_ground, extent_text, shown_by, window_of
+from pcwlad_geo.raster.source import RasterInfo, check_part, is_huge
+from pcwlad_geo.raster.view import View, ViewResampling, file_px_per_px
 from pcwlad_geo.types import Float64
-
-TURN: float = 360.0
-"""Degrees of longitude around the earth: 180.04 and -179.96 are the same meridian."""
-
-
-def moved_across_antimeridian(reference: RasterInfo, target: RasterInfo) -> RasterInfo:
-    """Return the reference with 360 degrees added to or subtracted from its longitudes, nearest the target's.
-
-    A reference whose CRS is not in degrees is returned unchanged. The reference is moved rather than the
-    target because no output is made of its pixels: the outputs have the longitudes of the target. Raises
-    `InputError` if the reference would have to be moved and its mask has another grid.
-    """
-    crs = reference.grid.crs
-    if crs is None or target.grid.crs is None or not crs.is_geographic:
-        return reference
-    if not crs.units_factor[0].lower().startswith("degree"):
-        return reference
-    middle = transform_xy(target.grid.to_xy(target.grid.middle_px), target.grid.crs, crs)
-    difference = float(middle[0, 0] - reference.grid.to_xy(reference.grid.middle_px)[0, 0])
-    turns = round(difference / TURN) if np.isfinite(difference) else 0
-    if turns == 0:
-        return reference
-    mask = reference.mask_grid
-    if mask is not None and mask.crs is not None and mask != reference.grid:
-        raise InputError(
-            f"{reference.uri} and {target.uri} count longitudes differently across 180 degrees, and the mask "
-            f"{reference.mask_uri} has other pixels than {reference.uri}: give a mask of the same pixels"
-        )
-    a, b, c, d, e, f = tuple(reference.grid.transform)[:6]
-    moved = replace(reference.grid, transform=Affine(a, b, c + turns * TURN, d, e, f))
-    return replace(reference, grid=moved, mask_grid=moved if mask == reference.grid else mask)
-
 
 MIN_SHARED: Final = 0.1
 """Share of the smaller extent within the other from which coordinates are taken to be in the other's CRS."""
@@ -109,9 +78,15 @@ EXTENT_MARGIN_PX = 256
 _SAME_SIZE_PX = 0.01  # what differing pixel sizes may add up to over the overlap
 FINER: Final = 0.99
 """The reference counts as finer below this ratio of the pixel sizes."""
+ALIKE: Final = 2.0
+"""Largest ratio of two pixel sizes, and of how much their lengths on the ground differ, that is about one."""
 # File px per matching-grid px from which area averages are used. Below it the edges of the cells, which fall
 # anywhere in a pixel, would displace the image by more than 0.02 px, varying from pixel to pixel.
 _AVERAGE_FROM = 2.0 - 1e-6
+
+
+ONLY_PIXELS: Final = "only their pixels tell how the two lie"
+"""What is said of a pair without georeferencing, unless tie points are given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +117,8 @@ def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     - One of them flipped (south-up): its own pixels in the other's order.
     - One coarser, same axes and CRS: the coarser band's own pixels, the finer band averaged onto them.
     - Rotated, another CRS, or slightly different sizes: the finer band (the target where they are about
-      equal) interpolated once onto the coarser band's grid.
+      equal) interpolated once onto the coarser band's grid. Where the map of one stretches or shears pixels
+      that are about as large, that one is interpolated.
     - Either without georeferencing: both on their own pixels.
 
     Raises `InputError` if the two do not overlap, or their CRSs cannot be transformed into one another.
@@ -151,7 +127,7 @@ def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
         return _plan_by_pixels(reference, target)
     warnings = transformation_warnings(reference.grid.crs, target.grid.crs)
     common = _overlap(reference, target)
-    steps = jacobian(_centre(common), reference.grid, target.grid)[0]
+    steps = jacobian(_typical_place(common, reference.grid, target.grid), reference.grid, target.grid)[0]
     check_pixel_ratio(reference.uri, target.uri, np.linalg.svd(steps, compute_uv=False).tolist())
     own = _plan_own_pixels(reference, target, common, warnings)
     return own or _plan_resampled(reference, target, common, warnings)
@@ -167,23 +143,45 @@ def limited(pair: ViewPair, extent: tuple[float, float, float, float]) -> ViewPa
     view, grids = pair.reference, (pair.reference.info.grid, pair.target.info.grid)
     if not pair.georeferenced or any(type(grid) is not Grid for grid in grids):
         raise InputError("--extent needs two rasters with a geotransform: leave it out, or cut the files")
-    outline = shapely.segmentize(shapely.box(*extent), max(extent[2] - extent[0], extent[3] - extent[1]) / 32)
-    corners_px = view.from_file_px(grids[0].to_px(shapely.get_coordinates(outline)))
+    outline = shapely.transform(shapely.box(*extent), grids[0].to_px)
+    shown = shapely.segmentize(shown_by(grids[0], outline), max(grids[0].shape) / 32)
+    corners_px = view.from_file_px(shapely.get_coordinates(shown))
     corners_px = corners_px[np.isfinite(corners_px).all(axis=1)]
     low, high = (corners_px.min(axis=0), corners_px.max(axis=0)) if len(corners_px) else (np.zeros(2),) * 2
     window = Window.around(low + 1e-6, high - 1e-6).clipped(view.grid.shape)
-    col, row = np.rint(pair.offset_px).astype(int).tolist()
-    around = window.moved(row, col).padded(EXTENT_MARGIN_PX).clipped(pair.target.grid.shape)
-    if window.empty or around.empty:
+    limits = _limited_to(pair, window)
+    if limits is None:
         raise InputError(
             f"the extent x {extent[0]:.10g} to {extent[2]:.10g}, y {extent[1]:.10g} to {extent[3]:.10g} lies "
             f"outside of what both rasters show: give one in the CRS of {view.info.uri}"
         )
+    return limits
+
+
+def limited_to_overlap(pair: ViewPair) -> ViewPair:
+    """Return the part of a pair that both rasters show, if one of them is too large to be read as a whole.
+
+    Raises `InputError` if what is read then is still too large.
+    """
+    if is_huge(pair.reference.grid) or is_huge(pair.target.grid):
+        pair = _limited_to(pair, pair.overlap) or pair
+    for view in (pair.reference, pair.target):
+        (rows, cols), whole = np.ceil(view.grid.shape * file_px_per_px(view)[::-1]), view.info.grid.shape
+        check_part(view.info, (min(int(rows), whole[0]), min(int(cols), whole[1])))
+    return pair
+
+
+def _limited_to(pair: ViewPair, window: Window) -> ViewPair | None:
+    """Return a pair whose reference view is a window of its own; None if that shows nothing of both."""
+    col, row = np.rint(pair.offset_px).astype(int).tolist()
+    around = window.moved(row, col).padded(EXTENT_MARGIN_PX).clipped(pair.target.grid.shape)
+    if window.empty or around.empty:
+        return None
     offset = (pair.offset_px[0] + window.col - around.col, pair.offset_px[1] + window.row - around.row)
     covered = pair.overlap.moved(-window.row, -window.col).clipped(window.shape)
     return replace(
         pair,
-        reference=_part(view, window),
+        reference=_part(pair.reference, window),
         target=_part(pair.target, around),
         offset_px=offset,
         overlap=covered,
@@ -199,8 +197,8 @@ def _part(view: View, window: Window) -> View:
 def _plan_by_pixels(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     lacking = [info.uri for info in (reference, target) if not info.georeferenced]
     warning = (
-        f"no georeferencing that the two share (CRS and geotransform) in {' and '.join(lacking)}: only "
-        "their pixels tell how the two lie"
+        f"no georeferencing that the two share (CRS and geotransform) in {' and '.join(lacking)}: "
+        f"{ONLY_PIXELS}"
     )
     return ViewPair(
         _own(reference),
@@ -232,7 +230,7 @@ def _plan_own_pixels(
     # Whole-pixel offsets are rounded: map coordinates have rounding errors.
     nearest = np.rint(offset)
     col, row = np.where(np.abs(offset - nearest) < 1e-6, nearest, offset).tolist()
-    overlap = _window_around(common).clipped(reference.grid.shape)
+    overlap = window_of(common, reference.grid, reference.grid).clipped(reference.grid.shape)
     return ViewPair(_own(reference), view, (col, row), overlap, warnings)
 
 
@@ -240,24 +238,51 @@ def _plan_resampled(
     reference: RasterInfo, target: RasterInfo, common: shapely.Geometry, warnings: tuple[str, ...]
 ) -> ViewPair:
     """Plan for one of the two on its own pixels, the other resampled onto them."""
-    matrix = jacobian(_centre(common), reference.grid, target.grid)[0]
-    if np.sqrt(abs(np.linalg.det(matrix))) < FINER:
-        box = _window_around(_mapped(common, reference.grid, target.grid))
-        view = _resampled(reference, target.grid, box, common)
+    if _on_target_grid(reference.grid, target.grid, _typical_place(common, reference.grid, target.grid)):
+        box = window_of(common, reference.grid, target.grid)
+        view = _resampled(reference, target.grid, box)
         overlap = box.clipped(target.grid.shape).moved(MARGIN_PX - box.row, MARGIN_PX - box.col)
         offset = (float(box.col - MARGIN_PX), float(box.row - MARGIN_PX))
         return ViewPair(view, _own(target), offset, overlap, warnings)
-    box = _window_around(common)
-    view = _resampled(target, reference.grid, box, common)
+    box = window_of(common, reference.grid, reference.grid)
+    view = _resampled(target, reference.grid, box)
     offset = (float(MARGIN_PX - box.col), float(MARGIN_PX - box.row))
     return ViewPair(_own(reference), view, offset, box.clipped(reference.grid.shape), warnings)
 
 
-def _resampled(finer: RasterInfo, coarser: Grid, box: Window, common: shapely.Geometry) -> View:
+def _on_target_grid(reference: Grid, target: Grid, at_px: Float64) -> bool:
+    """Return whether the grid of the target is the one to match on, judged at (1, 2) px of the reference.
+
+    It is that of the coarser pixels. Of two in different CRSs that are about as coarse, it is that whose
+    pixels have more alike sides on the ground where the other's map stretches or shears them.
+    """
+    step = float(np.sqrt(abs(np.linalg.det(jacobian(at_px, reference, target)[0]))))
+    if reference.crs != target.crs and 1 / ALIKE < step < ALIKE:
+        reference_ratio, target_ratio = (
+            _longest_by_shortest(grid, px)
+            for grid, px in ((reference, at_px), (target, map_px(at_px, reference, target)))
+        )
+        if max(reference_ratio, target_ratio) > ALIKE * min(reference_ratio, target_ratio):
+            return reference_ratio > target_ratio
+    return step < FINER
+
+
+def _longest_by_shortest(grid: Grid, at_px: Float64) -> float:
+    """Return the ratio of the lengths on the ground of a pixel's longest and shortest directions, or NaN."""
+    xy = grid.to_xy(at_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    sides_m = displacement_m(xy[[0, 0]], xy[1:], grid.crs)
+    if not np.isfinite(sides_m).all():
+        return np.nan
+    longest, shortest = np.linalg.svd(sides_m, compute_uv=False)
+    return float(longest / max(shortest, 1e-12))
+
+
+def _resampled(finer: RasterInfo, coarser: Grid, box: Window) -> View:
     """Return the finer band on the coarser band's grid, limited to the overlap and a margin."""
     around = box.padded(MARGIN_PX)
     grid = coarser.part((around.col, around.row), around.shape)
-    scale = _axis_scale(grid, finer.grid, shapely.box(0, 0, grid.shape[1], grid.shape[0]))
+    shown = shapely.box(MARGIN_PX, MARGIN_PX, MARGIN_PX + box.cols, MARGIN_PX + box.rows)
+    scale = _axis_scale(grid, finer.grid, shown)
     averaged = scale is not None and np.abs(scale).min() >= _AVERAGE_FROM
     resampling: ViewResampling = "average" if averaged else "cubic"
     return View(finer, grid, resampling)
@@ -275,12 +300,16 @@ def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Flo
 
 
 def _same_coordinates(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> bool:
-    """Whether both CRSs give the same coordinates for the same ground, under whatever name."""
-    if from_grid.crs == to_grid.crs:
+    """Whether both CRSs give the same coordinates for the same ground, or all a turn around the earth off."""
+    turn_px = to_grid.turn_px
+    if from_grid.crs == to_grid.crs and turn_px is None:
         return True
-    dense = shapely.get_coordinates(shapely.segmentize(common, max(common.length / 64, 1.0)))
-    as_if_equal = to_grid.to_px(from_grid.to_xy(dense))
-    return bool(np.abs(map_px(dense, from_grid, to_grid) - as_if_equal).max() <= 0.001)
+    inner = common.buffer(-_SAME_SIZE_PX)  # rounding may take the edge of a map around the earth
+    dense = shapely.get_coordinates(shapely.segmentize(inner, max(common.length / 64, 1.0)))
+    away = map_px(dense, from_grid, to_grid) - to_grid.to_px(from_grid.to_xy(dense))
+    if turn_px is not None and len(away):
+        away -= np.rint(away[0] @ turn_px / (turn_px @ turn_px)) * turn_px
+    return bool(np.abs(away).max(initial=0.0) <= 0.001)
 
 
 def _flipped(grid: Grid, signs: Float64) -> Grid:
@@ -291,73 +320,35 @@ def _flipped(grid: Grid, signs: Float64) -> Grid:
 
 def _overlap(reference: RasterInfo, target: RasterInfo) -> shapely.Geometry:
     """Return the area that both rasters cover, a polygon in reference px."""
-    footprint = _footprint(target.grid, reference.grid)
-    if footprint is not None:
-        common = footprint.intersection(_rectangle(reference.grid))
-    else:  # the target exceeds the domain of the reference's projection: intersect in the target's CRS
-        covered = _footprint(reference.grid, target.grid)
-        if covered is None:
-            raise InputError(
-                f"cannot transform between {name_of(reference.grid.crs)} of {reference.uri} and "
-                f"{name_of(target.grid.crs)} of {target.uri} where the rasters lie: check both CRSs"
-            )
-        common = _mapped(covered.intersection(_rectangle(target.grid)), target.grid, reference.grid)
+    common = common_ground(reference.grid, target.grid)
     if common.area < 1.0:
         plane = name_of(reference.grid.crs) if reference.grid.crs else "the plane of their geotransforms"
         raise InputError(
             f"the rasters do not overlap: in {plane}, {reference.uri} covers "
-            f"{_extent(reference.grid, reference.grid)} and {target.uri} covers "
-            f"{_extent(target.grid, reference.grid)}: "
+            f"{extent_text(reference.grid, reference.grid)} and {target.uri} covers "
+            f"{extent_text(target.grid, reference.grid)}: "
             "give two rasters of the same ground, or correct their georeferencing"
             + ("" if reference.grid.crs else " (gdal_edit.py -unsetgt removes it)")
         )
     return common
 
 
-def _footprint(grid: Grid, onto: Grid) -> shapely.Geometry | None:
-    """Return the outline of a raster in another grid's px; None where its CRS is not defined there."""
-    outline = grid.boundary_px()
-    mapped = map_px(outline, grid, onto)
-    if not np.isfinite(mapped).all():
-        return None
-    back = map_px(mapped, onto, grid)
-    polygon = shapely.Polygon(mapped)
-    # Outside its domain a projection may fold: mapping back then gives another point.
-    if not np.allclose(back, outline, rtol=0, atol=0.5) or not polygon.is_valid:
-        return None
-    return polygon
+def _typical_place(common: shapely.Geometry, reference: Grid, target: Grid) -> Float64:
+    """Return a (1, 2) place, reference px, at which the pixels of the two compare as at most others.
 
-
-def _rectangle(grid: Grid) -> shapely.Geometry:
-    rows, cols = grid.shape
-    return shapely.box(0, 0, cols, rows)
-
-
-def _mapped(polygon: shapely.Geometry, from_grid: Grid, to_grid: Grid) -> shapely.Geometry:
-    """Map a polygon, its sides densified so that they may become curves."""
-    if polygon.is_empty:
-        return polygon
-    left, top, right, bottom = polygon.bounds
-    dense = shapely.segmentize(polygon, max(right - left, bottom - top) / 32)
-    return shapely.transform(dense, lambda points_px: map_px(points_px, from_grid, to_grid))
+    It is the middle of the common ground unless that is unlike the others, as a pole is.
+    """
+    at_px = positions(*np.linspace(*bounds_of(common), 9).T)
+    at_px = np.concatenate([_centre(common), at_px[shapely.contains_xy(common, at_px)]])
+    steps = jacobian(at_px, reference, target)
+    known = np.isfinite(steps).all(axis=(1, 2))
+    sizes = np.full((len(at_px), 2), np.inf)
+    with np.errstate(divide="ignore"):
+        sizes[known] = np.log(np.linalg.svd(steps[known], compute_uv=False))
+    unlike = np.abs(sizes - np.median(sizes[known], axis=0)).max(axis=1) if known.any() else np.zeros(1)
+    return at_px[[0 if unlike[0] <= np.log(ALIKE) else int(np.nanargmin(unlike))]]
 
 
 def _centre(polygon: shapely.Geometry) -> Float64:
     point = polygon.representative_point()
     return np.array([[point.x, point.y]])
-
-
-def _window_around(polygon: shapely.Geometry) -> Window:
-    low, high = np.array(polygon.bounds).reshape(2, 2)
-    # A millionth of a pixel is a rounding error and adds no row.
-    return Window.around(low + 1e-6, high - 1e-6)
-
-
-def _extent(grid: Grid, onto: Grid) -> str:
-    """Return the extent of a raster in another's CRS, as text for messages."""
-    xy = transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, onto.crs)
-    xy = xy[np.isfinite(xy).all(axis=1)]
-    if len(xy) == 0:
-        return "ground far outside of it"
-    (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
-    return f"x {left:.10g} to {right:.10g}, y {bottom:.10g} to {top:.10g}"

@@ -29,17 +29,9 @@ from rasterio.windows import Window
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.limits import check_created_block
 from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.gdal import (
-    GDAL_ERRORS,
-    gdal_log,
-    ignoring,
-    open_own,
-    question,
-    raising_gdal_reports,
-    root_cause,
-)
+from pcwlad_geo.raster.gdal import GDAL_ERRORS, gdal_log, ignoring, question, raising_gdal_reports, root_cause
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import open_raster, open_written_raster
+from pcwlad_geo.raster.opening import open_own, open_raster, open_written_raster
 from pcwlad_geo.text import joined
 
 _EXTENSIONS: Final = {"COG": "tif", "GTIFF": "tif", "ENVI": "dat", "JPEG": "jpg", "VRT": "vrt"}

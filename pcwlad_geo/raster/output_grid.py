@@ -15,8 +15,9 @@ from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_grid, check_output_pixel
-from pcwlad_geo.raster.crs import name_of, to_pyproj
+from pcwlad_geo.raster.crs import in_turn, name_of, to_pyproj, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
+from pcwlad_geo.raster.overlap import Box, bounds_of, footprint, shown_by
 from pcwlad_geo.types import Float64
 
 _SAME: Final = 1e-6
@@ -119,7 +120,7 @@ def _steps_across(lattice: Grid, target: Grid) -> tuple[Float64, bool]:
 
     The second value is whether the target's columns run along the output's second axis.
     """
-    forward = jacobian(target.middle_px, target, lattice)[0]
+    forward = _slopes(lattice, target)
     if not np.isfinite(forward).all():
         raise InputError(
             f"the middle of the target cannot be transformed from {name_of(target.crs)} to "
@@ -128,9 +129,19 @@ def _steps_across(lattice: Grid, target: Grid) -> tuple[Float64, bool]:
     return 1.0 / np.hypot(*inverse(forward)), bool(abs(forward[0, 0]) < abs(forward[0, 1]))
 
 
+def _slopes(lattice: Grid, target: Grid) -> Float64:
+    """Return the (2, 2) lattice px per px in the middle of a target, or of what of it the lattice shows."""
+    slopes = jacobian(target.middle_px, target, lattice)[0]
+    if not np.isfinite(slopes).all():
+        shown, _ = footprint(target, lattice)
+        at_px = shapely.get_coordinates(shown.representative_point())
+        slopes = jacobian(map_px(at_px, lattice, target), target, lattice)[0] if len(at_px) else slopes
+    return np.asarray(slopes)
+
+
 def _turned(lattice: Grid, target: Grid) -> bool:
     """Whether no axis of the target is near one of the output, so that its two sizes cannot be assigned."""
-    forward = np.abs(jacobian(target.middle_px, target, lattice)[0])
+    forward = np.abs(_slopes(lattice, target))
     share = forward.min(axis=0) / forward.max(axis=0)
     return bool(share.max() > np.tan(np.radians(20.0)))
 
@@ -139,9 +150,6 @@ def _lengths(grid: Grid) -> Float64:
     """Return the (2,) lengths of a pixel along columns and rows, map units."""
     return np.asarray(np.hypot(*linear_part(grid.transform)))
 
-
-Box = tuple[Float64, Float64]
-"""Lowest and highest (x, y), two (2,) arrays in lattice px."""
 
 SLIVER_PX: Final = 1e-3
 """A strip of the footprint thinner than this adds no row or column of pixels."""
@@ -192,11 +200,13 @@ def output_grids(
 
     By default they have the CRS, the axes and the pixel corners of the reference and the sizes of
     `pixel_sizes`, and cover the corrected footprint of the target, rounded outwards to whole pixels of the
-    coarsest raster. A raster that extends beyond that by more than such a pixel enlarges it. Where the
-    reference or the target has no map coordinates, the outputs have the reference's grid. The `rasters` are
-    the grids of the target itself, or of others of its geometry; the correction maps predicted to observed
-    target pixels. Raises `InputError` if a footprint cannot be transformed to the CRS of the output or by the
-    correction, or the requested grid has no pixel, or too many.
+    coarsest raster, in the turn around the earth of the reference. Where the outline of the target is not
+    defined in their CRS, they cover what is, around the reference: as far again as it on each side. A raster
+    that extends beyond that by more than such a pixel enlarges it. Where the reference or the target has no
+    map coordinates, the outputs have the reference's grid. The `rasters` are the grids of the target itself,
+    or of others of its geometry; the correction maps predicted to observed target pixels. Raises `InputError`
+    if a footprint cannot be transformed to the CRS of the output or by the correction, or the requested grid
+    has no pixel, or too many.
     """
     request = request or GridRequest()
     fixed = request.fixed(reference_grid)
@@ -210,7 +220,8 @@ def output_grids(
     if not (reference_grid.located and target_grid.located):
         return [reference_grid] * len(rasters)
     lattice = output_lattice(reference_grid, request)
-    boxes = [_footprint(own, target_grid, correction, lattice) for own in (target_grid, *rasters)]
+    near = bounds_of(footprint(reference_grid, lattice)[0])
+    boxes = [_footprint(own, target_grid, correction, lattice, near) for own in (target_grid, *rasters)]
     sizes = pixel_sizes(lattice, reference_grid, target_grid, rasters)
     grids = lay_out(lattice, request, boxes, sizes)
     source_px = sum(float(each.shape[0]) * each.shape[1] for each in (reference_grid, target_grid, *rasters))
@@ -234,12 +245,13 @@ def output_lattice(reference: Grid, request: GridRequest) -> Grid:
     requested, as for gdalwarp, and starts at the origin of the CRS if that is not the reference's.
     """
     crs, place = request.crs or reference.crs, reference.transform
+    rows, cols = np.ceil(np.multiply(reference.shape, _lengths(reference)[::-1])).astype(int).tolist()
     if crs != reference.crs:
         return Grid(reference.shape, Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0), crs)
     if request.pixel_size is not None or request.extent is not None:
-        return Grid(reference.shape, Affine(1.0, 0.0, place.c, 0.0, -1.0, place.f), crs)
+        return Grid((rows, cols), Affine(1.0, 0.0, place.c, 0.0, -1.0, place.f), crs)
     (a, b), (d, e) = (linear_part(place) / np.hypot(*linear_part(place))).tolist()
-    return Grid(reference.shape, Affine(a, b, place.c, d, e, place.f), crs)
+    return Grid((rows, cols), Affine(a, b, place.c, d, e, place.f), crs)
 
 
 def lay_out(
@@ -278,17 +290,15 @@ def check_covered(
     if (footprint_crs is None) != (grid.crs is None) or not grid.located or not len(footprint_xy):
         return
     plain = Grid(grid.shape, Affine.identity(), footprint_crs)
-    outline_px = map_px(footprint_xy, plain, grid)
-    if not np.isfinite(outline_px).all():
+    outline = footprint(plain, grid, footprint_xy)[0] if np.isfinite(footprint_xy).all() else shapely.Point()
+    if outline.is_empty:
         return
-    low, high = outline_px.min(axis=0), outline_px.max(axis=0)
-    around = shapely.Polygon(outline_px).buffer(tolerance * float((high - low).max()))
+    low, high = bounds_of(outline)
+    if shown_by(grid, outline.buffer(tolerance * float((high - low).max()))).area > 0:
+        return
     rows, cols = grid.shape
-    if around.intersection(shapely.box(0, 0, cols, rows)).area > 0:
-        return
     (left, top), (right, bottom) = grid.to_xy(np.array([[0.0, 0.0], [cols, rows]])).tolist()
-    place = Grid((1, 1), Affine.identity(), grid.crs)
-    xy = map_px(footprint_xy, plain, place)
+    xy = grid.to_xy(shapely.get_coordinates(outline))
     (x_min, y_min), (x_max, y_max) = xy.min(axis=0), xy.max(axis=0)
     where = "in the plane of their geotransforms" if grid.crs is None else f"in {name_of(grid.crs)}"
     raise InputError(
@@ -298,21 +308,38 @@ def check_covered(
     )
 
 
+_PART_OF_TURN: Final = 0.45
+"""Share of a turn around the earth, on each side of a longitude, that is mapped without a cut."""
+
+
+def mapped_parts(target: Grid) -> tuple[float, ...]:
+    """Return the `turns` of `original_pixels` that map all of a raster: three if it is around the earth."""
+    x = target.to_xy(target.boundary_px())[:, 0]
+    return (0.0, 0.5, -0.5) if np.ptp(x) > 2 * _PART_OF_TURN * target.turn else (0.0,)
+
+
 def original_pixels(
-    own_grid: Grid, target_grid: Grid, correction: Correction, grid: Grid
+    own_grid: Grid, target_grid: Grid, correction: Correction, grid: Grid, *, turns: float = 0.0
 ) -> Callable[[Float64], Float64]:
     """Return the mapping from output pixels to the original pixels that show the same ground.
 
     Output pixel → predicted target pixel → observed target pixel → pixel of the raster. `own_grid` is that of
     the raster: the target, or another one of its geometry; the correction maps pixels of `target_grid`. Where
     the output `grid` or the raster has no map coordinates, its pixels are the predicted ones. The callable
-    maps (n, 2) output pixels (col, row) to (n, 2) pixels (col, row) of the raster.
+    maps (n, 2) output pixels (col, row) to (n, 2) pixels (col, row) of the raster. These are continuous and
+    NaN almost half the earth around from the middle of the target, or from a place so many `turns` east.
     """
-    placed = own_grid.located and grid.located
+    placed, turn = own_grid.located and grid.located, target_grid.turn
+    about = float(target_grid.to_xy(target_grid.middle_px)[0, 0]) + (turns * turn if turns else 0.0)
 
     def mapping(at_px: Float64) -> Float64:
-        predicted_px = map_px(at_px, grid, target_grid) if placed else at_px
-        return map_px(correction.forward(predicted_px), target_grid, own_grid)
+        if not placed:
+            return map_px(correction.forward(at_px), target_grid, own_grid)
+        xy = transform_xy(grid.to_xy(at_px), grid.crs, target_grid.crs)
+        xy = in_turn(xy, about, turn)
+        xy = np.where(np.abs(xy[:, :1] - about) <= _PART_OF_TURN * turn, xy, np.nan)
+        observed_px = correction.forward(target_grid.to_px(xy))
+        return observed_px if own_grid == target_grid else own_grid.to_px(target_grid.to_xy(observed_px))
 
     return mapping
 
@@ -325,16 +352,34 @@ def corrected_outline(target: Grid, correction: Correction) -> Float64:
     return target.to_xy(correction.inverse(target.boundary_px()))
 
 
-def _footprint(own: Grid, target: Grid, correction: Correction, lattice: Grid) -> Box:
-    """Return the bounding box of a corrected raster, lattice px."""
-    observed_px = map_px(own.boundary_px(), own, target)
-    around = map_px(correction.inverse(observed_px), target, lattice)
-    if not np.isfinite(around).all():
+def _footprint(own: Grid, target: Grid, correction: Correction, lattice: Grid, near: Box) -> Box:
+    """Return the bounding box of a corrected raster, lattice px, in the turn of that of the reference."""
+    outline_px = correction.inverse(map_px(own.boundary_px(), own, target))
+    shown, whole = shapely.Polygon(), False
+    if np.isfinite(outline_px).all():
+        shown, whole = footprint(target, lattice, outline_px)
+    if not whole and np.isfinite(near).all():
+        size = near[1] - near[0]
+        shown = shown.intersection(shapely.box(*(near[0] - size), *(near[1] + size)))
+    if shown.is_empty:
         raise InputError(
             f"the target's footprint cannot be transformed from {name_of(target.crs)} to "
             f"{name_of(lattice.crs)}: crop it to where that CRS is valid, or use --grid target"
         )
-    return around.min(axis=0), around.max(axis=0)
+    return _in_turn_of(near, bounds_of(shown), lattice.turn_px) if whole else bounds_of(shown)
+
+
+def _in_turn_of(near: Box, box: Box, turn_px: Float64 | None) -> Box:
+    """Return a box moved around the earth to the reference's, which one of all the earth then holds."""
+    if turn_px is None or not np.isfinite(near).all():
+        return box
+    turn, middle = float(np.hypot(*turn_px)), (near[0] + near[1]) / 2
+    moved = np.rint((middle - (box[0] + box[1]) / 2) @ turn_px / turn**2) * turn_px
+    low, high = box[0] + moved, box[1] + moved
+    slack = 1e-3 * turn
+    if high[0] - low[0] > turn - slack and (near[0][0] < low[0] - slack or near[1][0] > high[0] + slack):
+        low[0], high[0] = middle[0] - turn / 2, middle[0] + turn / 2
+    return low, high
 
 
 def _count(steps: Float64, step: Float64, size: Float64) -> Float64:

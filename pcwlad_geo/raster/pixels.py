@@ -1,8 +1,6 @@
-"""Which pixels of a file count, and their averages and samples on other grids."""
+"""Which pixels of a file count."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +8,24 @@ from rasterio.enums import ColorInterp, MaskFlags, Resampling
 from rasterio.io import DatasetReader
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window as FileWindow
-from scipy.sparse import csr_array
 
-from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.plausible import is_plausible
+from pcwlad_geo.in_memory import equals_nodata
 from pcwlad_geo.raster.gdal import GDAL_ERRORS
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.masks import accepted, bands_of
-from pcwlad_geo.raster.source import RasterInfo, mask_on_pixels, open_raster
-from pcwlad_geo.types import Bool, Float64
+from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.source import RasterInfo, mask_on_pixels
+from pcwlad_geo.types import Bool
+
+
+def read_nearest(
+    dataset: DatasetReader, band: int, window: Window, shape: tuple[int, int]
+) -> NDArray[np.generic]:
+    """Return a window of a band, by nearest neighbour, in an array of `shape` (rows, cols)."""
+    file_window = FileWindow(window.col, window.row, window.cols, window.rows)
+    return np.asarray(dataset.read(band, window=file_window, out_shape=shape))
 
 
 def valid_in_file(
@@ -26,9 +33,10 @@ def valid_in_file(
 ) -> Bool:
     """Return the (rows, cols) validity of a window by the file itself: all kinds of masks that it has.
 
-    The (rows, cols) `values` of the window are in the dtype of `band`, a number from 1.
+    The (rows, cols) `values` of the window are in the dtype of `band`, a number from 1. Values that nothing
+    measures are not valid.
     """
-    valid = np.isfinite(values) & ~_equals(values, dataset.nodatavals[band - 1])
+    valid = is_plausible(values) & ~equals_nodata(values, dataset.nodatavals[band - 1])
     # In GDAL nodata takes precedence over a mask, and a mask over alpha; here they are combined.
     flags = dataset.mask_flag_enums[band - 1]
     if MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]:
@@ -55,7 +63,8 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
                 values = dataset.read(bands, window=file_window)
                 inside = valid_in_file(dataset, bands[0], values[0], file_window)
                 return inside & accepted(info.mask_kind, values)
-            mask, grid, (rows, cols) = info.mask_grid, info.grid, info.grid.shape
+            grid, (rows, cols) = info.grid, info.grid.shape
+            mask = info.mask_grid.in_turn_of(grid)
             place = {"crs": grid.crs, "transform": grid.transform, "height": rows, "width": cols}
             place |= {"src_crs": mask.crs, "src_transform": mask.transform, "resampling": Resampling.nearest}
             with WarpedVRT(dataset, **place, tolerance=0.02, add_alpha=True) as warped:
@@ -65,142 +74,3 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
             raise InputError(
                 f"the mask {info.mask_uri} cannot be read: it may be truncated or corrupt ({error})"
             ) from error
-
-
-def _equals(values: NDArray[np.generic], nodata: float | None) -> Bool:
-    """Compare with a nodata value that the dtype may not be able to hold."""
-    if nodata is None or np.isnan(nodata):
-        return np.zeros(values.shape, dtype=bool)
-    if np.issubdtype(values.dtype, np.integer):
-        limits = np.iinfo(str(values.dtype))
-        if not float(nodata).is_integer() or not limits.min <= nodata <= limits.max:
-            return np.zeros(values.shape, dtype=bool)
-        return np.asarray(values == values.dtype.type(int(nodata)))
-    with np.errstate(over="ignore"):
-        return np.asarray(values == values.dtype.type(nodata))
-
-
-_NODE_STEP_PX = 16
-
-
-def box_average(
-    values: Float64, valid: Bool, row_edges: Float64, col_edges: Float64
-) -> tuple[Float64, Float64]:
-    """Average the valid pixels below each cell of a grid with the same axes, by area.
-
-    The (rows, cols) `values` are finite everywhere, and `valid` is a (rows, cols) bool array. The (m + 1,)
-    `row_edges` and (n + 1,) `col_edges` of the cells are corner-based rows and columns in px, increasing or
-    decreasing. Return the (m, n) averages, 0 where nothing is valid, and the (m, n) valid share of each
-    cell's area, 0 to 1.
-    """
-    row_weights = _overlaps(row_edges, values.shape[0])
-    col_weights = _overlaps(col_edges, values.shape[1])
-
-    def total(data: Float64) -> Float64:
-        return np.asarray((col_weights @ (row_weights @ data).T).T)
-
-    whole = bool(valid.all())  # the usual case, at half the cost
-    fraction = (
-        np.outer(row_weights.sum(axis=1), col_weights.sum(axis=1))
-        if whole
-        else total(valid.astype(np.float64))
-    )
-    return _divided(total(values if whole else np.where(valid, values, 0.0)), fraction), fraction
-
-
-def block_mean(values: Float64, valid: Bool, factor: int) -> tuple[Float64, Float64]:
-    """Average the valid pixels of blocks of `factor` x `factor` pixels: the (m, n) means and valid shares.
-
-    The (rows, cols) `values` and their mask, the (rows, cols) `valid`, have whole blocks. A mean is 0 where
-    nothing is valid.
-    """
-    if factor == 1:
-        return np.where(valid, values, 0.0), valid.astype(np.float64)
-    rows, cols = values.shape
-    blocks = (rows // factor, factor, cols // factor, factor)
-    fraction = valid.reshape(blocks).mean(axis=(1, 3))
-    total = np.where(valid, values, 0.0).reshape(blocks).mean(axis=(1, 3))
-    return _divided(total, fraction), fraction
-
-
-def spline_samples(values: Float64, fraction: Float64, positions_rc: Float64) -> tuple[Float64, Float64]:
-    """Interpolate by cubic B-spline, after filling invalid pixels from the nearest valid one.
-
-    The (rows, cols) `values` have a valid share, the (rows, cols) `fraction`. Both are returned as (m, n)
-    arrays at the (2, m, n) corner-based rows and columns `positions_rc`, px, the share interpolated linearly
-    and 0 outside; NaN counts as far outside.
-    """
-    from scipy.ndimage import distance_transform_edt, map_coordinates  # slow to load, and seldom needed
-
-    known = fraction > 0
-    if not known.any():
-        nothing = np.zeros(positions_rc.shape[1:])
-        return nothing, nothing
-    if not known.all():
-        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        values = values[tuple(nearest)]
-    indices = np.where(np.isfinite(positions_rc), positions_rc - 0.5, -1e6)
-    samples = map_coordinates(values, indices, order=3, mode="nearest")
-    return samples, map_coordinates(fraction, indices, order=1, mode="grid-constant", cval=0.0)
-
-
-def sample_positions(window: Window, per_px: int, mapping: Callable[[Float64], Float64]) -> Float64:
-    """Map the centres of the per_px x per_px cells of every pixel of a window.
-
-    The mapping, of (n, 2) pixel coordinates (col, row) to (n, 2) others, NaN where undefined, is evaluated on
-    nodes 16 px apart, whose positions do not depend on the window, and interpolated by a cubic spline: the
-    curvature of map projections over 16 px is far below 0.001 px. The result, (2, rows * per_px, cols *
-    per_px), holds mapped rows and columns, px, corner-based.
-    """
-    rows = _cell_centres(window.row, window.rows, per_px)
-    cols = _cell_centres(window.col, window.cols, per_px)
-    row_nodes, col_nodes = _nodes(rows), _nodes(cols)
-    at_nodes = _on_grid(mapping, row_nodes, col_nodes)
-    if not np.isfinite(at_nodes).all():  # at the edge of where the projection is defined
-        return _on_grid(mapping, rows, cols)
-    from scipy.interpolate import RectBivariateSpline  # slow to load, and most pairs share a CRS
-
-    return np.stack([RectBivariateSpline(row_nodes, col_nodes, part, s=0)(rows, cols) for part in at_nodes])
-
-
-def cell_means(samples: Float64, per_px: int) -> Float64:
-    """Return the (rows, cols) means of the `per_px` x `per_px` samples of each pixel.
-
-    The array `samples` has the shape (rows * per_px, cols * per_px); the unit is kept.
-    """
-    if per_px == 1:
-        return samples
-    rows, cols = samples.shape
-    return np.asarray(samples.reshape(rows // per_px, per_px, cols // per_px, per_px).mean(axis=(1, 3)))
-
-
-def _overlaps(edges: Float64, size: int) -> csr_array:
-    """Return the sparse (cells, size) shares of each cell's length that lie on each of `size` pixels."""
-    low = np.minimum(edges[:-1], edges[1:])
-    high = np.maximum(edges[:-1], edges[1:])
-    taps = int(np.ceil((high - low).max())) + 1
-    pixel = np.floor(low).astype(np.int64)[:, None] + np.arange(taps)
-    length = np.minimum(high[:, None], pixel + 1.0) - np.maximum(low[:, None], pixel)
-    share = np.maximum(length, 0.0) / (high - low)[:, None]
-    cell = np.broadcast_to(np.arange(len(low))[:, None], pixel.shape)
-    kept = (share > 0) & (pixel >= 0) & (pixel < size)
-    return csr_array((share[kept], (cell[kept], pixel[kept])), shape=(len(low), size))
-
-
-def _divided(total: Float64, fraction: Float64) -> Float64:
-    return np.divide(total, fraction, out=np.zeros_like(total), where=fraction > 1e-9)
-
-
-def _cell_centres(first: int, count: int, per_px: int) -> Float64:
-    return first + (np.arange(count * per_px) + 0.5) / per_px
-
-
-def _nodes(positions: Float64) -> Float64:
-    first = np.floor(positions[0] / _NODE_STEP_PX) - 1
-    last = np.ceil(positions[-1] / _NODE_STEP_PX) + 1
-    return np.arange(first, last + 1) * _NODE_STEP_PX
-
-
-def _on_grid(mapping: Callable[[Float64], Float64], rows: Float64, cols: Float64) -> Float64:
-    mapped = mapping(positions(cols, rows))
-    return mapped[:, ::-1].T.reshape(2, len(rows), len(cols))

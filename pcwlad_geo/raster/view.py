@@ -16,20 +16,16 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.plausible import is_plausible, plausible_limits
 from pcwlad_geo.limits import UNREAD_PARTS
+from pcwlad_geo.raster.bands import BandPart, Bands
 from pcwlad_geo.raster.gdal import GDAL_ERRORS
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, map_px
-from pcwlad_geo.raster.pixels import (
-    block_mean,
-    box_average,
-    cell_means,
-    sample_positions,
-    spline_samples,
-    valid_in_file,
-    valid_in_mask_file,
-)
+from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.pixels import valid_in_file, valid_in_mask_file
+from pcwlad_geo.raster.resampling import block_mean, box_average, cell_means, sample_positions, spline_samples
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
-from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, bands_of, check_band, describe, open_raster
+from pcwlad_geo.raster.source import Fill, RasterInfo, bands_of, check_band, describe
 from pcwlad_geo.types import Bool, Float32, Float64
 
 ViewResampling = Literal["none", "nearest", "average", "cubic"]
@@ -61,8 +57,9 @@ class View:
     """One band on a grid, which may be the file's own; picklable, holds no open file.
 
     A pixel is valid where its value is finite and the file's nodata value, masks and alpha band, the user's
-    mask file and areas, and the raster's collar all allow it. An averaged pixel is valid where half of its
-    area is (the mean is that of the valid part), an interpolated one where 90 % of the pixels around it are.
+    mask file and areas, and the raster's collar and fills all allow it. An averaged pixel is valid where half
+    of its area is (the mean is that of the valid part), an interpolated one where 90 % of the pixels around
+    it are.
     """
 
     info: RasterInfo
@@ -110,13 +107,22 @@ class View:
         """Map (n, 2) pixels `view_px` (col, row) to (n, 2) pixels of the file; NaN where undefined."""
         if self.resampling == "none":  # the way over the ground and back fails where heights are missing
             return view_px
+        if self._same_axes:
+            return self.info.grid.in_turn_of(self.grid).to_px(self.grid.to_xy(view_px))
         return map_px(view_px, self.grid, self.info.grid)
 
     def from_file_px(self, file_px: Float64) -> Float64:
         """Map (n, 2) pixels `file_px` (col, row) of the file to (n, 2) view pixels; NaN where undefined."""
         if self.resampling == "none":
             return file_px
+        if self._same_axes:
+            return self.grid.to_px(self.info.grid.in_turn_of(self.grid).to_xy(file_px))
         return map_px(file_px, self.info.grid, self.grid)
+
+    @property
+    def _same_axes(self) -> bool:
+        """Whether all of the view lies in one turn around the earth of its file's own longitudes."""
+        return self.resampling in ("nearest", "average") and self.grid.turn_px is not None
 
 
 def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
@@ -201,6 +207,11 @@ def _read_interpolated(
     needed = _around(positions, factor, source.info.grid.shape)
     if needed.empty:
         return np.zeros(window.shape), np.zeros(window.shape, dtype=bool)
+    if needed.area_px2 > 2 * _MAX_PX_AT_ONCE and max(window.shape) > 1:  # from both ends of the earth
+        halves = [_read_interpolated(source, half, overview, step) for half in window.halves()]
+        axis = 0 if window.rows >= window.cols else 1
+        (first, valid), (second, also) = halves
+        return np.concatenate([first, second], axis), np.concatenate([valid, also], axis)
     values, valid = _read_file(source.info, needed, overview)
     means, fraction = block_mean(values.astype(np.float64), valid, factor)
     origin_rc = np.array([needed.row, needed.col])[:, None, None]
@@ -240,7 +251,7 @@ def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[
     if inside.empty:
         return values, valid
     here = inside.slices_in(window)
-    values[here], valid[here] = _read_bands(bands_of(info), inside, overview)
+    values[here], valid[here] = _read_bands(bands_of(info), info.fills, inside, overview)
     valid[here] &= valid_in_mask_file(info, inside)
     if info.areas is not None:
         valid[here] &= info.areas.valid(inside, info.grid)
@@ -252,14 +263,16 @@ def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[
     return values, valid
 
 
-def _read_bands(bands: Bands, inside: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
+def _read_bands(
+    bands: Bands, fills: Sequence[Fill], inside: Window, overview: int | None
+) -> tuple[NDArray[np.generic], Bool]:
     """Read the (rows, cols) values of a window within a raster, and their validity by the files."""
     options = {} if overview is None else {"OVERVIEW_LEVEL": overview}
     total, valid = np.zeros(inside.shape), np.ones(inside.shape, bool)
     for path, group in groupby(bands.parts, key=attrgetter("path")):
         parts = list(group)
         with open_raster(path, **options) as dataset:
-            for window, read, good in _read_layers(dataset, parts, inside):
+            for window, read, good in _read_layers(dataset, parts, fills, inside):
                 if len(bands.parts) == 1:
                     return read[0], good[0]
                 here = window.slices_in(inside)
@@ -270,7 +283,7 @@ def _read_bands(bands: Bands, inside: Window, overview: int | None) -> tuple[NDA
 
 
 def _read_layers(
-    dataset: DatasetReader, parts: Sequence[BandPart], inside: Window
+    dataset: DatasetReader, parts: Sequence[BandPart], fills: Sequence[Fill], inside: Window
 ) -> Iterator[tuple[Window, list[NDArray[np.generic]], list[Bool]]]:
     """Yield the values and validities of bands of a file, by as many rows as fit into memory."""
     numbers = [part.band for part in parts]
@@ -285,7 +298,12 @@ def _read_layers(
                 if alike
                 else (dataset.read(number, window=place) for number in numbers)
             )
-            good = [valid_in_file(dataset, *each, place) for each in zip(numbers, read, strict=True)]
+            good = [
+                is_plausible(layer, part.limits) & valid_in_file(dataset, part.band, layer, place)
+                for part, layer in zip(parts, read, strict=True)
+            ]
+            for fill in fills:
+                good = [known & fill.is_data(layer) for known, layer in zip(good, read, strict=True)]
         except GDAL_ERRORS as error:
             raise InputError(
                 f"{parts[0].path}: {Bands(tuple(parts)).numbers} cannot be read at rows {window.row} to "
@@ -317,7 +335,10 @@ def with_bands(info: RasterInfo, bands: Bands) -> RasterInfo:
         kept = kept if kept.size else np.arange(1)
         parts, read, good = [parts[each] for each in kept.tolist()], read[kept], good[kept]
     weights = _weights(read[:, good.all(axis=0)], principal=bands.principal)
-    several = tuple(replace(part, weight=weight) for part, weight in zip(parts, weights, strict=True))
+    several = tuple(
+        replace(part, weight=weight, limits=plausible_limits(layer[known]))
+        for part, weight, layer, known in zip(parts, weights, read, good, strict=True)
+    )
     return replace(
         info, band=parts[0].band, dtype=dtype, brightness=None, several=Bands(several, bands.principal)
     )
@@ -350,19 +371,14 @@ def _parts_of(info: RasterInfo, bands: Bands) -> tuple[Sequence[BandPart], str]:
 
 def _samples(info: RasterInfo, parts: Sequence[BandPart]) -> tuple[Float64, Bool]:
     """Return (bands, n) values and their validity in windows spread over a raster."""
-    rows, cols = (min(side, _SAMPLE_PX) for side in info.grid.shape)
-    first_rows, first_cols = (
-        np.unique(np.linspace(0, side - size, _SAMPLES_ACROSS).astype(int)).tolist()
-        for side, size in zip(info.grid.shape, (rows, cols), strict=True)
-    )
-    windows = [Window(row, col, rows, cols) for row in first_rows for col in first_cols]
+    windows = Window.spread(info.grid.shape, _SAMPLE_PX, _SAMPLES_ACROSS)
     allowed = [valid_in_mask_file(info, window) for window in windows]
     if info.collar is not None:
         allowed = [
             each & info.collar.valid(window, info.grid.shape)
             for each, window in zip(allowed, windows, strict=True)
         ]
-    values = np.zeros((len(parts), len(windows), rows * cols))
+    values = np.zeros((len(parts), len(windows), windows[0].area_px2))
     valid = np.zeros(values.shape, bool)
     done = 0
     for path, group in groupby(parts, key=attrgetter("path")):
@@ -371,7 +387,7 @@ def _samples(info: RasterInfo, parts: Sequence[BandPart]) -> tuple[Float64, Bool
         with open_raster(path) as dataset:
             for number, window in enumerate(windows):
                 with suppress(InputError):  # the tile that holds it reports what cannot be read
-                    for _, read, good in _read_layers(dataset, own, window):
+                    for _, read, good in _read_layers(dataset, own, info.fills, window):
                         values[here, number] = np.reshape(read, (len(own), -1))
                         valid[here, number] = np.reshape(good & allowed[number], (len(own), -1))
     values[~valid] = 0
@@ -420,11 +436,19 @@ def _at_overview(view: View, overview: int | None) -> View:
 
 
 def file_px_per_px(view: View) -> Float64:
-    """Return the (2,) lengths in file px of one view pixel along columns and rows."""
-    matrix = jacobian(view.grid.middle_px, view.grid, at_mean_height(view.info.grid))[0]
-    lengths = np.hypot(matrix[0], matrix[1])
-    # Outside the projection's domain nothing is read, so any finite length will do.
-    return np.where(np.isfinite(lengths), lengths, 1.0)
+    """Return the (2,) lengths in file px of one view pixel along columns and rows.
+
+    They are those in the middle, or typical ones of the view where the middle is unlike it, as a pole is.
+    """
+    file_grid = at_mean_height(view.info.grid)
+    at_px = np.concatenate([view.grid.middle_px, view.grid.lattice_px(5)])
+    lengths = np.linalg.norm(jacobian(at_px, view.grid, file_grid), axis=1)
+    known = np.isfinite(lengths).all(axis=1)
+    if not known.any():  # outside the projection's domain nothing is read
+        return np.ones(2)
+    typical, middle = np.median(lengths[known], axis=0), lengths[0]
+    alike = known[0] and bool((np.maximum(middle, typical) <= 2 * np.minimum(middle, typical)).all())
+    return np.asarray(middle if alike else typical)
 
 
 def _patch(dtype: str, values: NDArray[np.generic], valid: Bool) -> Patch:

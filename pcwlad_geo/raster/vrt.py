@@ -19,7 +19,7 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.opening import open_raster
 
 # Georeferencing that a corrected raster must not inherit, and domains that GDAL derives by itself or would
 # write into a file of its own (IMD, of DigitalGlobe, where it also puts the text of an MTL).

@@ -7,7 +7,7 @@ import queue
 import threading
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from contextvars import copy_context
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -28,6 +28,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
 from pcwlad_geo.raster.grid import Window as PixelWindow
+from pcwlad_geo.types import Bool
 
 MIN_PART: Final = (64, 64)
 """Rows and columns of the smallest part that is read on its own."""
@@ -106,7 +107,7 @@ class UnreadableParts:
 
     def _count_read(self, block: Block, nothing: Block) -> None:
         some = block[:, ::_STRIDE, ::_STRIDE]
-        same = (some == nothing) | ((some != some) & (nothing != nothing))  # NaN counts as equal to NaN
+        same = _empty(some, nothing)
         with self._lock:
             self.read_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
 
@@ -125,6 +126,11 @@ class UnreadableParts:
 
     def _error(self) -> InputError:
         return InputError(f"{self.name} cannot be read: {self._reason}")
+
+
+def _empty(block: Block, nothing: Block) -> Bool:
+    """Return where the values of a block are those of nothing; NaN counts as equal to NaN."""
+    return np.asarray((block == nothing) | ((block != block) & (nothing != nothing)))
 
 
 def filled(values: list[float], dtype: np.dtype[Any]) -> ReadBlock:
@@ -232,14 +238,15 @@ MAX_THREADS: Final = 4
 
 def warped_blocks(
     unreadable: UnreadableParts,
-    view: Callable[[], AbstractContextManager[DatasetReader]],
+    views: Sequence[Callable[[], AbstractContextManager[DatasetReader]]],
     windows: Sequence[Window],
 ) -> Generator[tuple[Window, Block], None, None]:
     """Yield the windows of a warped raster, each row of windows read by one thread from left to right.
 
-    GDAL works without Python's lock, and each thread opens the file for itself, by `view`. At most one block
-    per thread waits to be consumed. The windows come in no defined order, each with its (bands, rows, cols)
-    array of pixels. Raises `InputError` if the raster cannot be opened, or too much of it cannot be read.
+    GDAL works without Python's lock, and each thread opens the file for itself, by `views`: what the first is
+    empty in, the next ones may hold. At most one block per thread waits to be consumed. The windows come in
+    no defined order, each with its (bands, rows, cols) array of pixels. Raises `InputError` if the raster
+    cannot be opened, or too much of it cannot be read.
     """
     rows = [list(row) for _, row in groupby(windows, key=lambda window: window.row_off)]
     count = min(os.cpu_count() or 1, MAX_THREADS, len(rows))
@@ -248,12 +255,17 @@ def warped_blocks(
 
     def read(own: Sequence[Window]) -> None:
         try:
-            with view() as warped:
+            with ExitStack() as stack:
+                warped, *others = [stack.enter_context(view()) for view in views]
                 nothing = filled(_values_of_nothing(warped), np.dtype(np.result_type(*warped.dtypes)))
                 least = warped.block_shapes[0]  # GDAL warps whole blocks: smaller parts would fail too
 
                 def part(window: Window) -> Block:
-                    return np.asarray(warped.read(window=window))
+                    block = np.asarray(warped.read(window=window))
+                    for other in others:
+                        empty = _empty(block, nothing(Window(0, 0, 1, 1)))
+                        block = np.where(empty, other.read(window=window), block)
+                    return block
 
                 for window in own:
                     done.put((window, unreadable.read(part, window, nothing, least)))

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +38,10 @@ from pcwlad_geo.raster.gdal import (
 )
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
+from pcwlad_geo.raster.opening import open_raster, open_written_raster
 from pcwlad_geo.raster.output_format import OutputFormat, write_described
-from pcwlad_geo.raster.output_grid import original_pixels
-from pcwlad_geo.raster.source import describe, open_raster, open_written_raster
+from pcwlad_geo.raster.output_grid import mapped_parts, original_pixels
+from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.vrt import has_alpha, has_mask_band, is_paletted, usable_nodata
 from pcwlad_geo.raster.warped_views import (
     Block,
@@ -169,7 +171,7 @@ def warp(
     str or None
         A warning where parts of the source could not be read.
     """
-    info = describe(os.fspath(source_path))
+    info = describe(os.fspath(source_path), part=True)
     own_grid = info.grid if target_grid is None else grid_on_plane_of(info, target_grid)
     target_grid = target_grid or own_grid
     check_geometry(source_path, own_grid, target_grid)
@@ -179,8 +181,8 @@ def warp(
         return None
 
     def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
-        view = _view(source, grids, correction, method, request)
-        return warped_blocks(request.unreadable, view, request.windows)
+        views = _views(source, grids, correction, method, request)
+        return warped_blocks(request.unreadable, views, request.windows)
 
     return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, fmt=fmt)
 
@@ -242,20 +244,33 @@ def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
         )
 
 
-def _view(
+def _views(
     source: DatasetReader,
     grids: tuple[Grid, Grid, Grid],
     correction: Correction,
     method: Resampling,
     request: BlockRequest,
-) -> OpenView:
-    """Return a function that opens the warped raster; the grids are those of source, target and output."""
-    uri = source.name
-    if isinstance(correction, AffineCorrection):
+) -> list[OpenView]:
+    """Return what opens the warped raster, or parts of it; the grids are those of source, target, output."""
+    uri, target = source.name, grids[1]
+    if isinstance(correction, AffineCorrection) and _in_one_turn(grids, correction):
         options = _affine_options(source, grids, correction, method) | request.options()
-        return lambda: _warped(uri, options)
+        return [lambda: _warped(uri, options)]
+    paths = [_dense_view(source, grids, correction, method, request, turns) for turns in mapped_parts(target)]
+    return [partial(open_written_raster, path) for path in paths]
+
+
+def _dense_view(
+    source: DatasetReader,
+    grids: tuple[Grid, Grid, Grid],
+    correction: Correction,
+    method: Resampling,
+    request: BlockRequest,
+    turns: float,
+) -> str:
+    """Write the VRT of a warped raster, see `original_pixels`, and return its path."""
     own, target, out = grids
-    mapping = original_pixels(own, target, correction, out)
+    mapping = original_pixels(own, target, correction, out, turns=turns)
     rows, cols = out.shape
     ends = np.array([cols, rows]) / 2 + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     moved = mapping(ends)
@@ -263,8 +278,19 @@ def _view(
     own_px, out_px = (Grid(grid.shape, _PIXELS, None) for grid in (own, out))
     options = _warp_options(source, own_px, out_px, method, step) | request.options()
     dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
-    path = os.fspath(write_dense_view(source, request.scratch, dense, options))
-    return lambda: open_written_raster(path)
+    folder = request.scratch / f"{turns:g}"
+    folder.mkdir()
+    return os.fspath(write_dense_view(source, folder, dense, options))
+
+
+def _in_one_turn(grids: tuple[Grid, Grid, Grid], correction: AffineCorrection) -> bool:
+    """Whether GDAL, to which 180 degrees east and west are two places, maps all of a raster to the output."""
+    placed, out = _corrected_grid(*grids[:2], correction, grids[2]), grids[2]
+    turn = placed.turn
+    x, out_x = (grid.to_xy(grid.boundary_px())[:, 0] for grid in (placed, out))
+    if np.isinf(turn) or placed.crs == out.crs:  # no other turn of the raster is in the output
+        return bool(x.max() - turn <= out_x.min() and out_x.max() <= x.min() + turn)
+    return bool((np.abs(x) <= turn / 2 * (1 + 1e-9)).all() and (np.abs(out_x) <= out.turn / 2).all())
 
 
 def _affine_options(
@@ -288,6 +314,10 @@ def _write_vrt(
     if not isinstance(correction, AffineCorrection):
         raise InputError(
             f"a VRT cannot hold a {correction.name} correction: give --model affine, or --of COG or GTiff"
+        )
+    if not _in_one_turn(grids, correction):
+        raise InputError(
+            "a VRT cannot hold a raster whose longitudes are not the output's: give --of COG or GTiff"
         )
     with open_raster(os.fspath(source_path)) as source:
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
@@ -313,7 +343,7 @@ def _corrected_grid(own: Grid, target: Grid, correction: AffineCorrection, out: 
     if own.transform != target.transform:
         # Another pixel size of the same sensor: the correction moves the ground, T·A⁻¹·T⁻¹.
         transform = vrt.compose(transform, ~target.transform, own.transform)
-    return Grid(own.shape, transform, own.crs)
+    return Grid(own.shape, transform, own.crs).in_turn_of(out if own.crs == out.crs else own)
 
 
 @contextmanager

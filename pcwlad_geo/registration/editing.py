@@ -12,15 +12,17 @@ import numpy as np
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.execution.runner import one_library_thread
-from pcwlad_geo.matching.matcher import margin_px, match_arrays
+from pcwlad_geo.matching.first_pass import margin_px
+from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import footprint_px, user_points
 from pcwlad_geo.registration.result import Pair
+from pcwlad_geo.tiepoints.csv_file import write_csv
+from pcwlad_geo.tiepoints.qgis_points import write_points
 from pcwlad_geo.tiepoints.table import joined, place
-from pcwlad_geo.tiepoints.writers import write_csv, write_points
 from pcwlad_geo.types import Float64, PathLike
 
 FAR_PX: Final = 1e7

@@ -23,7 +23,7 @@ from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.judge import Motion, Verdict, describe_motions
 from pcwlad_geo.text import read_json
-from pcwlad_geo.tiepoints.readers import read_tie_points
+from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable, joined
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -412,6 +412,19 @@ class Quality:
             f"{self.reasons[0].text}. Mask what moves, or choose images that are alike in what they show and "
             "taken from nearby viewpoints"
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt(Reason):
+    """Why the displacement taken may be a wrong one, or not that of all ground."""
+
+    off_px: float = 0.0
+    """By how much more than a tenth of the common ground lies off if it is right, matching-grid px."""
+
+    def applied_to(self, quality: Quality, px: float) -> Quality:
+        """Return the `quality` with this doubt; a pixel of the matching grid has `px` of the target."""
+        expected_px = max(quality.expected_ce90_px, self.off_px * px)
+        return replace(quality.at_most(self.grade, self.text), expected_ce90_px=expected_px)
 
 
 OTHER_DISPLACEMENT_SHARE: Final = 0.05

@@ -15,16 +15,19 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import FILE_OPTIONS, Settings
-from pcwlad_geo.products import Product, ProductBand, find_product, no_product
+from pcwlad_geo.products.finding import KINDS, find_product, no_product
+from pcwlad_geo.products.product import Product, ProductBand
+from pcwlad_geo.raster.bands import BandPart, Bands
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import FileIdentity, identify
 from pcwlad_geo.raster.matching_grid import share_plane
+from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_lattice
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.ortho import ground_grid
-from pcwlad_geo.raster.source import BandPart, Bands, RasterInfo, describe, open_raster
+from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.registration.rpc import place_reference, place_target
 from pcwlad_geo.types import PathLike
 
@@ -86,12 +89,12 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
     """Find the bands and masks of a pair.
 
     Raises `InputError` if a product, or a band of it, is missing or cannot be used. The two are rasters or
-    products (see `products.find_product`), of which bands have names in the settings. With
+    products (see `products.finding.find_product`), of which bands have names in the settings. With
     `all_bands`, all others of the target are to be corrected too.
     """
     ref = _side(reference, "ref", settings)
     tgt = _side(target, "tgt", settings)
-    notes = ref.notes + tgt.notes
+    notes = ref.notes + tgt.notes + KINDS.problems()
     product = tgt.product if all_bands else None
     found = product.others(product.band(settings.tgt_band)) if product else ()
     others = tuple(band for band in found if band.uri != ref.file)
@@ -219,7 +222,8 @@ def check_output(reference: PathLike, target: PathLike, settings: Settings) -> N
     if request == GridRequest(settings.grid) and fmt == OutputFormat():
         return
     inputs = resolve(reference, target, settings)
-    ref, tgt = _as_placed(describe(inputs.reference), describe(inputs.target), inputs.settings)
+    ref, tgt = describe(inputs.reference, part=True), describe(inputs.target, part=True)
+    ref, tgt = _as_placed(ref, tgt, inputs.settings)
     ground = ground_grid(ref.grid)
     check_placed(request, {ref.uri: ref.georeferenced, tgt.uri: tgt.georeferenced}, ground)
     if fmt.is_vrt and isinstance(tgt.grid, RpcGrid):

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.estimation.solving import least_squares
-from pcwlad_geo.matching.epipolar import CHANCE_FACTOR
-from pcwlad_geo.matching.shift_search import evidence_against_chance
+from pcwlad_geo.matching.chance import evidence_against_chance
+from pcwlad_geo.matching.epipolar import EPIPOLAR
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.raster.source import BLOCK_PX
+from pcwlad_geo.raster.compression import BLOCK_PX
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -50,6 +50,8 @@ BY_BLOCKS: Final = (
     "JPEG compression leaves, and little else; use images without it, or mask what shows nothing else"
 )
 """Why such a pair is refused."""
+CLOSE_PX: Final = 0.2
+"""Median distance per axis from their common displacement below which points agree closely."""
 AGREEING_SHARE: Final = 0.75
 """Least share of agreeing cells with which a refusal says that they are too few, not that they disagree."""
 AT_BORDER: Final = 0.25
@@ -115,6 +117,10 @@ class Verdict:
     """-log10 of the probability that unrelated images agree as much."""
     past_search_border: bool | None = None
     """Whether many best matches lie on the edge of the search; None unless the points agree by chance."""
+    few_valid: bool = False
+    """Whether many candidates had too few valid pixels around them."""
+    smaller_windows: bool = False
+    """Whether smaller windows may give the places that are missing: the points agree, in too few of them."""
 
 
 def judge(
@@ -153,9 +159,11 @@ def judge(
         return Verdict(True, None, cells, agreeing, significance)
     if by_blocks:
         return Verdict(False, BY_BLOCKS, cells, agreeing, significance)
-    missing = _nothing_to_match(counts) or _too_few(int(kept.sum()), agreeing, cells)
+    nothing = _nothing_to_match(counts)
+    missing = nothing or _too_few(int(kept.sum()), agreeing, cells)
     if missing:
-        return Verdict(False, missing, cells, agreeing, significance)
+        smaller_windows = bool(nothing) or agree_closely(matches[kept])
+        return Verdict(False, missing, cells, agreeing, significance, smaller_windows=smaller_windows)
     by_chance = f"none of the {counts['candidates']} candidates agrees with its neighbours"
     if kept.any():
         by_chance = (
@@ -164,7 +172,16 @@ def judge(
         )
     by_chance += ", no better than chance"
     past_search_border = counts.get("at_search_border", 0) > AT_BORDER * counts["candidates"]
-    return Verdict(False, by_chance, cells, agreeing, significance, past_search_border)
+    few_valid = counts.get("not_comparable", 0) > FEW_VALID_SHARE * counts["candidates"]
+    return Verdict(False, by_chance, cells, agreeing, significance, past_search_border, few_valid)
+
+
+def agree_closely(points: TiePoints) -> bool:
+    """Whether points are enough, and have one displacement up to a fraction of a pixel."""
+    moved = points.displacement_px
+    if len(moved) < MIN_POINTS:
+        return False
+    return bool(np.median(np.abs(moved - np.median(moved, axis=0)), axis=0).max() < CLOSE_PX)
 
 
 def _lie_blocks_apart(matches: TiePoints, kept: Bool) -> bool:
@@ -191,7 +208,7 @@ def _best_agreement(
     """
     if len(matches) == 0:
         return 0, 0, 0.0
-    chance = min(0.5, CHANCE_FACTOR * share)
+    chance = min(0.5, EPIPOLAR.chance_factor * share)
     middle_px = np.median(matches.displacement_px[kept if kept.any() else slice(None)], axis=0)
     place_of = _places(matches, separation_px)
     cells, agreeing = _agreement(matches, middle_px, place_of)
@@ -279,7 +296,7 @@ def motions_of(
         off_px = np.linalg.norm(moved - middle_px, axis=1)
         near, left = off_px < AGREE_PX, left & (off_px >= 2 * AGREE_PX)
         places = int((np.bincount(cell_of, weights=near) >= total / 2).sum())
-        evidence = evidence_against_chance(places, len(total), min(0.5, CHANCE_FACTOR * share))
+        evidence = evidence_against_chance(places, len(total), min(0.5, EPIPOLAR.chance_factor * share))
         significance = max(0.0, evidence + float(np.log10(share)))
         if near.sum() < MIN_POINTS or places < MIN_CELLS or significance < MIN_SIGNIFICANCE:
             break
@@ -431,19 +448,49 @@ def _too_few(points: int, agreeing: int, cells: int) -> str | None:
     )
 
 
-OTHER_CAUSES = "clouds may hide the ground, or the two may not show the same place"
-"""Possible causes of a refusal beside a too small search radius, for messages."""
+FEW_VALID_SHARE: Final = 0.3
+"""Share of candidates with too few valid pixels around them from which it is advised to fill gaps."""
 
 
-def refusal(verdict: Verdict, start: Prealignment) -> str:
-    """Return why a pair was refused, and what to try.
+def refusal(
+    verdict: Verdict, start: Prealignment, *, georeferenced: bool = True, few_values: Sequence[str] = ()
+) -> str:
+    """Return why a pair was refused, and what to try, the likeliest first.
 
-    The verdict is that on the last start; `start` says whether the whole image has been searched.
+    The verdict is that on the last start; `start` says whether the whole image has been searched. What is
+    likely depends on whether both rasters are `georeferenced`, and on which have `few_values`.
     """
     reason = verdict.reason or ""
-    if verdict.past_search_border is None:
-        return reason
-    return f"{reason}: {_advice(start, verdict.past_search_border)}"
+    advice = [] if verdict.past_search_border is None else [_advice(start, verdict.past_search_border)]
+    if reason and start.evidence > 0:
+        place = start.pose.shift_px if start.pose else start.shift_px
+        advice.append(
+            f"the search proposes ({place[0]:+.0f}, {place[1]:+.0f}) px (col, row), as it does by chance in "
+            f"one of {10**start.evidence:.0f} pairs, and no tie points confirm it: check it by eye"
+        )
+    if few_values:
+        advice.append(
+            f"{' and '.join(few_values)} has little more than two values, as a mask or a map of classes: "
+            "match an image that it was made from, and move it by what that gives (shift)"
+        )
+    elif verdict.past_search_border is not None:
+        advice.append(_other_causes(verdict, start, georeferenced))
+    return f"{reason}{'; ' if ': ' in reason else ': '}{'; '.join(advice)}" if advice else reason
+
+
+def _other_causes(verdict: Verdict, start: Prealignment, georeferenced: bool) -> str:
+    """Return what to try beside a search, the likeliest first."""
+    causes = []
+    if verdict.few_valid:
+        causes.append("fill small gaps (gdal_fillnodata.py), around which too few pixels are valid")
+    if not georeferenced and start.searched:
+        causes.append(
+            "if the two share a small part only, or their pixels differ more than four times in size, give "
+            "both a rough geotransform (gdal_edit.py -a_ullr), right to some pixels"
+        )
+    causes.append("choose bands that look alike")
+    causes.append("mask clouds and what has changed")
+    return f"{', or '.join(causes)}, unless the two do not show the same place"
 
 
 def _advice(start: Prealignment, past_search_border: bool) -> str:
@@ -451,29 +498,21 @@ def _advice(start: Prealignment, past_search_border: bool) -> str:
     edge = f"many best matches lie on the edge of the search radius of {radius_px} px"
     if not start.searched:
         if past_search_border:
-            return (
-                f"{edge}: raise --search-radius, or give --prealign search, unless the two do not show the "
-                "same place"
-            )
+            return f"{edge}: raise --search-radius, or give --prealign search"
         return (
-            f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius), the "
-            f"two may be turned against each other (give --prealign search), or {OTHER_CAUSES}"
+            f"the displacement may exceed the search radius of {radius_px} px (raise --search-radius), or "
+            "the two may be turned against each other (give --prealign search)"
         )
     if start.pose is not None:
         return (
             f"this is the best of {start.tried} starts, which a search over all rotations, scales and shifts "
-            f"found at {start.pose}; {OTHER_CAUSES}; check bands and masks"
+            f"found at {start.pose}"
         )
     if start.method != "search":
-        return (
-            f"a search over the whole image found no start that holds: {OTHER_CAUSES}; check bands and masks"
-        )
+        return "a search over the whole image found no start that holds"
     if past_search_border:
         return (
             f"{edge} around the shift that a search over the whole image found: give --prealign search with "
-            f"--search-radius {2 * radius_px}, unless the two do not show the same place"
+            f"--search-radius {2 * radius_px}"
         )
-    return (
-        "this is from the shift that a search over the whole image found; "
-        f"{OTHER_CAUSES}; check bands and masks"
-    )
+    return "this is from the shift that a search over the whole image found"

@@ -7,7 +7,6 @@ is matched.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,9 +15,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from pcwlad_geo.matching.gaps import fill_smoothly, narrow_gaps
 from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
-from pcwlad_geo.matching.prepare import fill_smoothly
+from pcwlad_geo.matching.rounds import in_rounds
 from pcwlad_geo.matching.types import OTHER_WINDOWS_PX, MatchSettings
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
@@ -36,7 +36,8 @@ CELLS_ACROSS: Final = 2
 MIN_CORE_PX: Final = 80
 """Least side of the core of a small window."""
 MIN_VALID: Final = 0.75
-"""Least share of a window, including the margin for the matching, that must be valid in both bands."""
+"""Least share of a window, including the margin for the matching, that must be valid in both bands, or in
+narrow gaps."""
 MIN_TEXTURE: Final = 0.05
 """Least share of a window that must have more than faint contrast in both bands."""
 CENTRE_PREFERENCE: Final = 0.3
@@ -141,12 +142,13 @@ def _starts(begin: int, length: int, side: int, step: int) -> Index:
 
 
 def _merged(window: TileJob, overviews: Overviews) -> tuple[Float64, Float64]:
-    """Return integral images of the texture and validity of both bands, on the reference's overview."""
+    """Return integral images of the texture of both bands and of what counts, on an overview."""
     scenes = (window.reference_scene, window.target_scene)
     textures, valids = [], []
     for patch, scene in zip((overviews.reference, overviews.target), scenes, strict=True):
         textures.append(texture_of(patch, scene.epsilon))
-        valids.append(patch.valid.astype(np.float32))
+        counts = patch.valid | narrow_gaps(patch.valid, overviews.factor)
+        valids.append(counts.astype(np.float32))
     shape = textures[0].shape
     offset = np.round(np.asarray(window.target_offset_px) / overviews.factor).astype(int)
     textures[1], valids[1] = (_moved(plane, offset, shape) for plane in (textures[1], valids[1]))
@@ -225,7 +227,7 @@ class Plan:
         for site in self.sites:
             upcoming = [job for job in site if job.id not in gave]
             most = max((gave[job.id] for job in site if job.id in gave), default=0)
-            if upcoming and most < POOR_SHARE * upcoming[0].settings.features:
+            if upcoming and most < POOR_SHARE * upcoming[0].settings.candidates:
                 poor.append(upcoming[0])
             elif upcoming:
                 rich.append((most, upcoming[0]))
@@ -266,6 +268,7 @@ def plan(
     region = common_region(pair, target_offset_px)
     area = matching.features_area_px2 or float(max(region.area_px2, 1))
     one_tile = tiles_along(max(region.shape), settings.tile_size) == 1
+    matching = in_rounds(matching, area) if one_tile else replace(matching, features=matching.candidates)
     if matching.open_window and not one_tile:  # tiles and small windows would have to reach farther
         matching = replace(matching, other_windows=OTHER_WINDOWS_PX)
     base = TileJob(
@@ -273,7 +276,7 @@ def plan(
     )
     wanted = 1000 if settings.points is None else settings.points
     candidates = CANDIDATES_PER_POINT * wanted if isinstance(wanted, int) else np.inf
-    densest = settings.features / min(area, FEATURE_AREA_PX**2)
+    densest = settings.candidates / min(area, FEATURE_AREA_PX**2)
     if wanted == "dense":
         base = replace(base, settings=replace(matching, per_cell=1))
         densest = (4 / matching.window) ** 2  # four along the side of a window
@@ -292,12 +295,6 @@ def plan(
     return Plan([site[0] for site in sites if site], int(wanted), sites, without_structure)
 
 
-def count_tiles(pair: ViewPair, settings: Settings) -> int:
-    """Return the approximate least number of tiles of `pair` with `settings`, before the start is known."""
-    region = common_region(pair, (round(pair.offset_px[0]), round(pair.offset_px[1])))
-    return math.prod(tiles_along(length, settings.tile_size) for length in region.shape)
-
-
 def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:
     """Return the part of the reference view of `pair` that the target view covers at `target_offset_px`."""
     col, row = target_offset_px
@@ -312,8 +309,8 @@ def farthest_px(pair: ViewPair, target_offset_px: tuple[int, int]) -> int:
 
 def _cover(base: TileJob, density: float, tile_size: int) -> list[TileJob]:
     """Cover the region with tiles of a given density of candidates, 1/px²."""
-    settings = replace(base.settings, features_area_px2=base.settings.features / density)
-    margin = cell_side_px(settings.features, settings.per_cell, settings.features / density)
+    settings = replace(base.settings, features_area_px2=base.settings.candidates / density)
+    margin = cell_side_px(settings.candidates, settings.per_cell, settings.candidates / density)
     cores = [
         Window(row, col, rows, cols)
         for row, rows in _spans(base.region.row, base.region.rows, tile_size)

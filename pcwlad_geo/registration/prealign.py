@@ -17,24 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 from pcwlad_geo.correction.models import ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.matching.maps import GREY_REACH_PX, Tones, scene_epsilon
+from pcwlad_geo.matching.grey_values import GREY, Tones
+from pcwlad_geo.matching.maps import scene_epsilon
+from pcwlad_geo.matching.noise import Noise, noise_of_samples, of_whole_image, rounding_of
 from pcwlad_geo.matching.pose import SCALES, PoseProposal, poses_by_grey_values, search_pose
-from pcwlad_geo.matching.prepare import (
-    Image,
-    Noise,
-    noise_of_samples,
-    of_whole_image,
-    rounding_of,
-    without_speckle,
-)
-from pcwlad_geo.matching.shift_search import SearchResult, mapped, search_shift
+from pcwlad_geo.matching.prepare import Image, without_speckle
+from pcwlad_geo.matching.shift_search import SearchResult, search_shift
+from pcwlad_geo.matching.transforms import mapped
 from pcwlad_geo.matching.types import TRAITS
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.cameras import expected_scale
+from pcwlad_geo.raster.cameras import expected_scale, guessed_scale
 from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.source import RasterInfo, bands_of
+from pcwlad_geo.raster.source import RasterInfo, bands_of, is_huge
 from pcwlad_geo.raster.view import Patch, View, file_px_per_px
 from pcwlad_geo.registration.tiles import Scene
 from pcwlad_geo.types import Bool, Float32, Float64
@@ -56,6 +52,8 @@ POSE_ERROR_PX: Final = 1.0
 SEARCH_ERROR_PX: Final = 2.0
 """Uncertainty of the shift that a search finds, in pixels of the overview."""
 
+FEW_VALUES_SHARE: Final = 0.9
+"""Share of a band that its two commonest values make up, from which it is a mask or a map of classes."""
 MIN_GREY_REACH_PX: Final = 2.0
 """Least sigma of the local mean of grey values on an overview."""
 
@@ -96,6 +94,20 @@ class Pose:
             (col, row),
         )
 
+    def beside(self, linear: Float64) -> Pose:
+        """Return the pose beside a (2, 2) `linear` map from reference to target px, if that is known.
+
+        Between two projections such a map turns and shears by itself.
+        """
+        if not np.isfinite(linear).all():
+            return self
+        turn, shear = math.radians(self.rotation_deg), math.radians(self.shear_deg)
+        right = np.array([math.cos(turn), math.sin(turn)])
+        down = abs(self.scale[1]) * math.tan(shear) * right + self.scale[1] * np.array([-right[1], right[0]])
+        matrix = np.eye(3)
+        matrix[:2, :2] = np.column_stack([self.scale[0] * right, down]) @ inverse(linear)
+        return replace(Pose.of(matrix, (0, 0)), shift_px=self.shift_px)
+
     def __str__(self) -> str:
         return (
             f"rotation {self.rotation_deg:.1f} degrees, scale {self.scale[0]:.3f} x {self.scale[1]:.3f}, "
@@ -120,8 +132,8 @@ class Prealignment:
     evidence: float = 0.0
     """-log10 of the probability that a search finds a start like this in unrelated images."""
     expected_scale: float | None = None
-    """Target px per reference px by the data of the cameras, about which the search for a pose was made; None
-    where these are not known, or not needed."""
+    """Target px per reference px by the data of the cameras, or by the sizes of the frames, about which the
+    search for a pose was made; None where it was made about 1, or not needed."""
     tried: int = 1
     """Number of starts that the matching tried, this one included."""
     matched_by: str = "structure"
@@ -196,6 +208,13 @@ def read_overviews(pair: ViewPair) -> Overviews:
     return Overviews(patches[0], patches[1], factor, (scenes[0], scenes[1]))
 
 
+def has_few_values(patch: Patch) -> bool:
+    """Return whether two values make up nearly all of a band, as they do of a mask or a map of classes."""
+    values = patch.values[patch.valid]
+    counts = np.sort(np.unique(values, return_counts=True)[1])
+    return bool(counts[-2:].sum() > FEW_VALUES_SHARE * len(values))
+
+
 def _tones(pair: ViewPair, overviews: Overviews) -> tuple[Tones, Tones] | None:
     """Measure how the grey values of two views depend on each other as these are placed."""
     col, row = np.round(np.asarray(pair.offset_px) / overviews.factor).astype(int).tolist()
@@ -205,7 +224,7 @@ def _tones(pair: ViewPair, overviews: Overviews) -> tuple[Tones, Tones] | None:
     here, there = common.slices_in(whole), common.slices_in(other)
     images = first.values[here], second.values[there]
     valid = first.valid[here] & second.valid[there]
-    return Tones.of_pair(images, valid, max(GREY_REACH_PX / overviews.factor, MIN_GREY_REACH_PX))
+    return Tones.of_pair(images, valid, max(GREY.reach_px / overviews.factor, MIN_GREY_REACH_PX))
 
 
 def by_georeferencing(search_radius: int | None) -> Prealignment:
@@ -249,18 +268,34 @@ def by_search(
     return Prealignment("search", (float(shift[0]), float(shift[1])), radius), found
 
 
+def scales_of_frames(pair: ViewPair) -> tuple[float | None, float | None]:
+    """Return the scale of two frames that their cameras' data tell, and otherwise a guess of it.
+
+    Both are target px per reference px; None where there is none, and where the pair is georeferenced.
+    """
+    if pair.georeferenced:
+        return None, None
+    infos = pair.reference.info, pair.target.info
+    expected, _ = expected_scale(infos[0].camera, infos[1].camera)
+    if expected is not None:
+        return expected, None
+    shapes = infos[0].grid.shape, infos[1].grid.shape
+    return None, guessed_scale(infos[0].camera, infos[1].camera, shapes)
+
+
 class PoseStarts:
     """Starts from poses, which are searched on the overviews, by the grey values when they are asked for.
 
     The search radius of the settings is that of the coarse match afterwards; None: by the precision of the
-    pose.
+    pose. Scales are searched for about the expected one, target px per reference px; None: about 1.
     """
 
-    def __init__(self, pair: ViewPair, overviews: Overviews, settings: Settings) -> None:
-        self._pair, self._overviews, self._settings = pair, overviews, settings
-        self._expected, _ = expected_scale(pair.reference.info.camera, pair.target.info.camera)
-        if self._expected is None or pair.georeferenced:
-            self._expected, self._factors = None, [overviews.factor] * 2
+    def __init__(
+        self, pair: ViewPair, overviews: Overviews, settings: Settings, expected: float | None = None
+    ) -> None:
+        self._pair, self._overviews, self._settings, self._expected = pair, overviews, settings, expected
+        if expected is None:
+            self._factors = [overviews.factor] * 2
             reference, target = overviews.reference, overviews.target
         else:  # each at its own resolution: the two may differ much
             views = pair.reference, pair.target
@@ -395,8 +430,12 @@ def _between(reference: Grid, target: Grid) -> Float64:
 
 
 def can_be_posed(pair: ViewPair) -> bool:
-    """Return whether a pose can be given to the target: both have geotransforms, or none, but no RPC."""
-    return not any(isinstance(view.info.grid, RpcGrid) for view in (pair.reference, pair.target))
+    """Return whether a pose can be given to the target: both have geotransforms, or none, but no RPC.
+
+    A search for it reads all of both, which must not be too large.
+    """
+    grids = pair.reference.info.grid, pair.target.info.grid
+    return all(not (isinstance(grid, RpcGrid) or is_huge(grid)) for grid in grids)
 
 
 def target_offset_px(pair: ViewPair, prealignment: Prealignment) -> tuple[int, int]:

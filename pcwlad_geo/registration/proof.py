@@ -51,26 +51,17 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse, least_squares, pseudo_inverse
 from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.matching.field import global_affine
-from pcwlad_geo.matching.guidance import FieldGuide, Scales, guide_by_field
+from pcwlad_geo.matching.first_pass import Core, match_candidates
+from pcwlad_geo.matching.gaps import fill_smoothly
+from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
 from pcwlad_geo.matching.kernels.library import fast_even, in_threads
-from pcwlad_geo.matching.matcher import (
-    Core,
-    consistent_points,
-    displacement_by_windows,
-    match_candidates,
-    rematch_with,
-    to_index,
-)
-from pcwlad_geo.matching.prepare import (
-    ChannelPair,
-    Image,
-    PreparedPair,
-    fill_smoothly,
-    noise_level,
-    prepare,
-)
-from pcwlad_geo.matching.refinement import ChannelMaps, InitialEstimate, refine
-from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
+from pcwlad_geo.matching.noise import noise_level
+from pcwlad_geo.matching.outliers import consistent_points
+from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, prepare
+from pcwlad_geo.matching.refinement import InitialEstimate, refine
+from pcwlad_geo.matching.second_pass import displacement_by_windows, rematch_with
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints, to_index
+from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.arrays import Raster, Scratch
 from pcwlad_geo.raster.grid import Window
@@ -819,9 +810,7 @@ def _differences(compare: Callable[..., Float64], setup: ProofSetup, again: Matc
 def _channels(setup: ProofSetup, pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> Float64:
     halves = []
     for first in range(2):
-        images = [
-            ChannelMaps(each.maps[first::2].copy(), each.valid) for each in (pair.reference, pair.target)
-        ]
+        images = [replace(each, maps=each.maps[first::2].copy()) for each in (pair.reference, pair.target)]
         half = ChannelPair(images[0], images[1], pair.threads)
         halves.append(rematch_with(half, points, guide, setup.settings, setup.scales).target_xy_px)
     return np.asarray(halves[0] - halves[1])
@@ -929,7 +918,7 @@ def _part(matches: Matches, register: Register) -> _TestPart:
     col, row = (cells[counts.argmax()] * PART_PX).tolist()
     window = Window(region.row + row, region.col + col, PART_PX, PART_PX).intersection(region)
     model = "auto" if settings.model == "rpc" else settings.model
-    features = min(settings.features, 256)  # as dense as in a tile
+    features = min(settings.candidates, 256)  # as dense as in a tile
     inherited = {name: getattr(settings, name) for name in INHERITED_SETTINGS}
     settings = Settings(**inherited, model=model, features=features)
     return _TestPart(job, window, _with_nan(job.reference.read(window)), settings, register, Scratch())

@@ -21,15 +21,17 @@ from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.epipolar import EpipolarGeometry, plane_residual_px
-from pcwlad_geo.matching.guidance import Scales
+from pcwlad_geo.matching.gaps import narrow_gaps
 from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.ortho import RpcPlacement
-from pcwlad_geo.raster.source import RasterInfo, bands_of, file_name, has_quick_overview
-from pcwlad_geo.registration.fitting import Origin, Quality
+from pcwlad_geo.raster.source import RasterInfo, bands_of, has_quick_overview
+from pcwlad_geo.registration.fitting import Doubt, Origin, Quality
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.judge import Motion, Verdict
 from pcwlad_geo.registration.planning import MIN_TEXTURE, texture_of
@@ -44,6 +46,8 @@ from pcwlad_geo.types import Bool, Float64
 GROUND: Final = ("usable", "no_texture", "edge", "reference_without_data", "target_without_data")
 """Whether a place can be matched: `no_texture` has faint contrast at most in one of the two, `edge` too many
 pixels without data within a window around it."""
+BARE_TEXTURE: Final = 0.2
+"""Contrast weight of a band below which a place shows no structure: 0.09 of water with noise, 0.9 of land."""
 LATTICE_SIDE: Final = 120
 """Along the longer side of the reference, where that is asked."""
 
@@ -64,11 +68,19 @@ class MatchRecord:
     """The candidates that gave no match; positions in reference px."""
     thinned_px: Float64 = field(default_factory=lambda: np.empty((0, 2)))
     """(t, 2) tie points left out because fewer were wanted."""
+    bare: Bool | None = None
+    """(rows, cols) whether neither band shows structure at these places; None where that is not known."""
 
-    def common_px(self, shape: tuple[int, int]) -> Float64:
-        """Return (n, 2) places (col, row) spread over a reference of this shape that both bands show."""
+    def common_px(self, shape: tuple[int, int], *, bare: bool) -> Float64:
+        """Return (n, 2) places (col, row) spread over a reference of this shape that both bands show.
+
+        They are the `bare` ones, such as water, or all others.
+        """
         places, _ = _places(shape)
-        return places[self.ground.ravel() < GROUND.index("reference_without_data")]
+        common = self.ground.ravel() < GROUND.index("reference_without_data")
+        is_bare = np.zeros(len(places), bool) if self.bare is None else self.bare.ravel()
+        chosen: Float64 = places[common & (is_bare == bare)]
+        return chosen
 
     @property
     def searched(self) -> bool:
@@ -92,9 +104,11 @@ def record_matching(
     jobs.
     """
     side = max(settings.template, settings.window)  # of the first pass
+    patches = overviews.reference, overviews.target
+    textures = [texture_of(patch, of.epsilon) for patch, of in zip(patches, overviews.scenes, strict=True)]
     contents = [
-        _Content(patch.valid, texture_of(patch, scene.epsilon) >= MIN_TEXTURE)
-        for patch, scene in zip((overviews.reference, overviews.target), overviews.scenes, strict=True)
+        _Content(patch.valid, texture >= MIN_TEXTURE, texture >= BARE_TEXTURE)
+        for patch, texture in zip(patches, textures, strict=True)
     ]
     ground = _ground(pair, contents, overviews.factor, target_offset_px, side, settings.least_valid)
     lost = Candidates.concatenate([result.lost for result in results])
@@ -104,6 +118,7 @@ def record_matching(
         np.array([result.status == "failed" for result in results], dtype=bool),
         _boxes(pair, without_structure),
         Candidates(pair.reference.to_file_px(lost.reference_xy_px), lost.outcome),
+        bare=_bare(pair, contents, overviews.factor, target_offset_px),
     )
 
 
@@ -121,7 +136,7 @@ def record_ground(pair: ViewPair) -> MatchRecord | None:
     except InputError:
         return None
     col, row = pair.offset_px
-    contents = [_Content(valid, np.ones_like(valid)) for valid in masks]
+    contents = [_Content(valid, np.ones_like(valid), np.ones_like(valid)) for valid in masks]
     ground = _ground(pair, contents, factor, (round(col), round(row)), 1, 0.5)
     nothing = np.empty((0, 4))
     return MatchRecord(ground, nothing, np.empty(0, bool), nothing, Candidates.empty())
@@ -133,6 +148,8 @@ class _Content:
 
     valid: Bool
     textured: Bool
+    structured: Bool
+    """Whether there is more than what is left of noise, waves and haze."""
 
 
 def _ground(
@@ -156,8 +173,9 @@ def _ground(
     # a resampled view of the reference ends a little beyond what the target covers
     inside = _value_at(np.ones_like(reference.valid), at)
     textured = _value_at(reference.textured, at) & _value_at(target.textured, at_target)
+    seen = [each.valid | narrow_gaps(each.valid, factor) for each in contents]
     around = cv2.blur(
-        (here & there).reshape(shape).astype(np.float32),
+        (_value_at(seen[0], at) & _value_at(seen[1], at_target)).reshape(shape).astype(np.float32),
         _odd_sides(pair, window_px, shape),
         borderType=cv2.BORDER_CONSTANT,
     )
@@ -165,6 +183,19 @@ def _ground(
     names = ("reference_without_data", "target_without_data", "edge", "no_texture")
     ground = np.select(reasons, [GROUND.index(name) for name in names], default=0)
     return ground.reshape(shape).astype(np.uint8)
+
+
+def _bare(
+    pair: ViewPair, contents: Sequence[_Content], factor: float, target_offset_px: tuple[int, int]
+) -> Bool:
+    """Tell, for the places of `_ground`, whether neither band shows structure there."""
+    places, shape = _places(pair.reference.info.grid.shape)
+    with np.errstate(invalid="ignore"):
+        at = pair.reference.from_file_px(places) / factor
+    at_target = at + np.asarray(target_offset_px) / factor
+    reference, target = contents
+    bare = ~_value_at(reference.structured, at) & ~_value_at(target.structured, at_target)
+    return np.asarray(bare.reshape(shape))
 
 
 def _places(frame: tuple[int, int]) -> tuple[Float64, tuple[int, int]]:
@@ -339,6 +370,8 @@ class Matches(Shown):
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
+    frame_doubt: str | None = None
+    """Why they may belong to the frames, not to the ground (`frame_evidence`); None where nothing says so."""
     job: TileJob | None = None
     """One of the tiles, as all were matched; None for points of a file."""
     scales: Scales | None = None
@@ -347,6 +380,8 @@ class Matches(Shown):
     """Of points of a file; None of those that were matched here."""
     roles: NDArray[np.str_] | None = None
     """(n,) what an earlier fit used the points of a file for; None where that is to be chosen."""
+    doubts: tuple[Doubt, ...] = ()
+    """What speaks against the displacement taken."""
     warnings: tuple[str, ...] = ()
     """Of all steps up to this one."""
     seconds: dict[str, float] = field(default_factory=dict)

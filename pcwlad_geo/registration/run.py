@@ -12,41 +12,43 @@ from pcwlad_geo.correction import Effort
 from pcwlad_geo.correction.error_statistics import Proof
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, VRT_MODELS
 from pcwlad_geo.correction.points import thin
+from pcwlad_geo.correction.selection import COMMON_SIGMA, Selection
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner, one_library_thread
-from pcwlad_geo.matching.outliers import consistent, contradicted_clusters
-from pcwlad_geo.matching.types import FIRST_WINDOW_PX
+from pcwlad_geo.matching.clusters import contradicted_clusters
+from pcwlad_geo.matching.outliers import consistent
+from pcwlad_geo.matching.types import FIRST_WINDOW_PX, TiePoints
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products import of_one_product
+from pcwlad_geo.products.finding import of_one_product
+from pcwlad_geo.raster.band_pixels import BandPixels
+from pcwlad_geo.raster.bands import Bands
 from pcwlad_geo.raster.cameras import expected_scale
+from pcwlad_geo.raster.compression import with_compression_blocks
+from pcwlad_geo.raster.fill import without_shared_fill
 from pcwlad_geo.raster.grid import pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.identity import digest
 from pcwlad_geo.raster.matching_grid import (
+    ONLY_PIXELS,
     ViewPair,
     limited,
-    moved_across_antimeridian,
+    limited_to_overlap,
     plan_views,
     share_plane,
 )
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
 from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
-from pcwlad_geo.raster.source import (
-    Bands,
-    RasterInfo,
-    describe,
-    same_band,
-    with_areas,
-    with_compression_blocks,
-    without_collar,
-)
-from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_areas
+from pcwlad_geo.raster.trust.permissions import trusting
+from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.raster.view import file_px_per_px, with_bands
+from pcwlad_geo.registration.edge_sides import error_of_sides_px
 from pcwlad_geo.registration.fitting import (
     FAIR_PX,
     GOOD_PX,
     UNKNOWN_ORIGIN,
     AssessedFit,
+    Fitted,
     Quality,
     Reason,
     assess,
@@ -54,10 +56,11 @@ from pcwlad_geo.registration.fitting import (
     footprint_px,
     user_points,
 )
+from pcwlad_geo.registration.frame_evidence import frame_evidence
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
 from pcwlad_geo.registration.judge import PRODUCT_M, describe_motions
-from pcwlad_geo.registration.planning import count_tiles
-from pcwlad_geo.registration.prealign import Prealignment, read_overviews
+from pcwlad_geo.registration.positions import PositionConflict, position_conflict
+from pcwlad_geo.registration.prealign import RADIUS_PX, Prealignment, StartingAlignment, read_overviews
 from pcwlad_geo.registration.result import (
     Matches,
     MatchRecord,
@@ -74,7 +77,14 @@ from pcwlad_geo.registration.rpc import (
     place_reference,
     place_target,
 )
-from pcwlad_geo.registration.scene import located, match_again_from_shifted_rpc, match_from_best_start
+from pcwlad_geo.registration.scene import (
+    located,
+    match_again_from_shifted_rpc,
+    match_from_best_start,
+    match_scene,
+)
+from pcwlad_geo.registration.seams import seam_of
+from pcwlad_geo.registration.tiles import forget_tiles
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.table import TiePointTable, overlap_middle_px, predict_target_px
 from pcwlad_geo.types import Bool, Float64, PathLike
@@ -85,6 +95,12 @@ MIN_PARALLAX = 2.0
 """Least ratio of what is found along the epipolar lines to what is found across, where nothing can be."""
 MIN_PARALLAX_PX = 0.5
 """Least parallax that is warned of, RMS, target px."""
+BY_POINTS = "only the tie points given tell how the two lie"
+"""What is said instead where tie points are given."""
+LEAST_TOLD_BARE = 0.05
+"""Share of the common ground."""
+LEAST_TOLD_JITTER_PX = 0.05
+"""RMS, target px."""
 MAX_REFERENCE_MISFIT_PX = 0.05
 """Of ground control points."""
 
@@ -210,22 +226,22 @@ def open_pair(
         settings = inputs.settings
         files = identify_inputs(inputs)  # before any of them is read
         content = digest(file.identity for file in files)
-        ref, ref_collar = _described(inputs.reference, inputs.ref_bands, settings.ref_mask, content)
-        tgt, tgt_collar = _described(inputs.target, inputs.tgt_bands, settings.tgt_mask, content)
+        ref, ref_said, ref_pixels = _described(inputs.reference, inputs.ref_bands, settings.ref_mask, content)
+        tgt, tgt_said, tgt_pixels = _described(inputs.target, inputs.tgt_bands, settings.tgt_mask, content)
         reference_by_rpc, reference_warnings = place_reference(ref, tgt, settings)
         ref = reference_by_rpc.info if reference_by_rpc else ref
         placed, warnings = place_target(ref, tgt, settings)
         if placed:
             tgt = placed.info
         elif not reference_by_rpc:
-            ref, tgt, shared = share_plane(moved_across_antimeridian(ref, tgt), tgt)
-            warnings = (*warnings, *shared)
+            ref, tgt, assumed = share_plane(ref, tgt)
+            warnings = (*warnings, *assumed)
+        ref, tgt, shared = without_shared_fill(ref, tgt, ref_pixels, tgt_pixels)
         ref = with_areas(ref, settings.aoi, settings.exclude)
         notes = (
             *inputs.notes,
             *_camera_notes(ref, tgt),
-            *ref_collar,
-            *tgt_collar,
+            *(ref_said + tgt_said + shared),
             *_control_point_notes(ref, tgt),
         )
         for warning in (*notes, *reference_warnings, *warnings):
@@ -236,10 +252,9 @@ def open_pair(
                 "--displacement-unit m, or give the reference a CRS (gdal_edit.py -a_srs)"
             )
         views = plan_rpc_views(ref, tgt) if placed or reference_by_rpc else plan_views(ref, tgt)
-        if settings.extent is not None:
-            views = limited(views, settings.extent)
+        views = limited_to_overlap(limited(views, settings.extent) if settings.extent else views)
         for warning in views.warnings:
-            log.warn(warning)
+            log.warn(warning.replace(ONLY_PIXELS, BY_POINTS) if settings.tie_points else warning)
         if same_band(ref, tgt):
             log.warn(
                 "reference and target are the same file and band: the displacement is zero by construction"
@@ -258,10 +273,11 @@ def open_pair(
 
 def _described(
     uri: str, bands: Bands, mask: PathLike | None, content: str
-) -> tuple[RasterInfo, tuple[str, ...]]:
-    """Return a raster as the matching takes it, and what is to be said of its border."""
-    info, notes = without_collar(describe(uri, band=bands.first, mask=mask))
-    return replace(with_bands(with_compression_blocks(info), bands), content=content), notes
+) -> tuple[RasterInfo, tuple[str, ...], BandPixels]:
+    """Return a raster as the matching takes it, notes of its border and values, and the pixels looked at."""
+    pixels = BandPixels(describe(uri, band=bands.first, mask=mask, part=True))
+    info, notes = without_undeclared(pixels.info, pixels)
+    return replace(with_bands(with_compression_blocks(info), bands), content=content), notes, pixels
 
 
 @one_library_thread()
@@ -279,8 +295,58 @@ def match(pair: Pair, runner: Runner, *, on_event: EventCallback = ignore) -> Ma
     """
     log = JobLog(on_event, list(pair.warnings), dict(pair.seconds))
     path = pair.settings.tie_points
-    found = _from_file(pair, path, log) if path else _without_clusters(_by_matching(pair, log, runner), log)
+    try:
+        found = (
+            _from_file(pair, path, log) if path else _without_clusters(_by_matching(pair, log, runner), log)
+        )
+        found = _with_frame_evidence(found, log, runner)
+    finally:
+        forget_tiles()
+    conflict = None if path else _position_conflict(found)
+    if conflict is not None and conflict.no_overlap:
+        found = replace(found, verdict=replace(found.verdict, accepted=False, reason=conflict.text))
     return replace(_only_wanted(found), warnings=tuple(log.warnings), seconds=log.seconds)
+
+
+def _with_frame_evidence(matches: Matches, log: JobLog, runner: Runner) -> Matches:
+    """Refuse or doubt a pair that agrees in what stands still in both frames, unless its ground is found.
+
+    Points of a file are only doubted.
+    """
+    pair, points = matches.pair, matches.tie_points.select("matched")
+    found = None
+    if matches.accepted:
+        found = frame_evidence(pair.reference, pair.target, points.reference_px, points.target_px)
+    if found is None or found.doubt is None:
+        return matches
+    given = pair.settings.tie_points is not None
+    if found.rival_px is not None and not given and pair.reference.grid == pair.target.grid:
+        ground = _without_clusters(_by_matching(pair, log, runner, found.rival_px), log)
+        if ground.accepted:
+            col, row = found.rival_px
+            log.warn(
+                "what stands still in both frames agrees at no displacement; the ground was found about "
+                f"({col:+.0f}, {row:+.0f}) px off, and is matched there"
+            )
+            return ground
+    if found.is_frame and not given:
+        return replace(matches, verdict=replace(matches.verdict, accepted=False, reason=found.doubt))
+    log.warn(found.doubt)
+    return replace(matches, frame_doubt=found.doubt)
+
+
+def _doubts_of_frames(matches: Matches) -> list[str]:
+    conflict = _position_conflict(matches)
+    texts = None if conflict is None else conflict.text, matches.frame_doubt
+    return [text for text in texts if text is not None]
+
+
+def _position_conflict(matches: Matches) -> PositionConflict | None:
+    points = matches.tie_points.select("matched")
+    pair = matches.pair
+    if not matches.accepted:
+        return None
+    return position_conflict(pair.reference, pair.target, points.reference_px, points.target_px)
 
 
 @one_library_thread()
@@ -314,7 +380,7 @@ def fit(
         fitted = fit_correction(
             table, settings, footprint, sizes_m, shape, candidates, smooth, frames, matches.roles
         )
-        places = _common_px(matches.record, matches.views, target)
+        places = _counted_px(matches, fitted.selection, log)
         whole = _whole_px(matches.pair)
         of_all = None
         if matches.origin is not None and matches.origin.left_out:
@@ -324,8 +390,13 @@ def fit(
         quality = assess(
             fitted.table, matches.every, fitted.selection, places, footprint, matches.jitter_px, whole, of_all
         )
+        quality = _with_seam(quality, fitted, places, footprint)
         if matches.motions:
             quality = quality.at_most("fair", describe_motions(matches.motions, taken=True))
+        for text in _doubts_of_frames(matches):
+            quality = quality.at_most("poor", text)
+        for doubt in matches.doubts:
+            quality = doubt.applied_to(quality, float(file_px_per_px(matches.views.target).max()))
         if matches.origin is not None and matches.origin.folder is None:
             quality = quality.at_most("fair", UNKNOWN_ORIGIN)
         if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
@@ -341,6 +412,17 @@ def fit(
         if reason.text not in log.warnings:
             log.warn(reason.text)
     return AssessedFit(fitted, quality, refusal, settings, tuple(log.warnings), log.seconds)
+
+
+def _with_seam(quality: Quality, fitted: Fitted, places_px: Float64, footprint_px: float) -> Quality:
+    """Return the quality of a correction that goes smoothly over a seam of the target, if there is one."""
+    points = fitted.table.select("fit", "check", "unused")
+    seam = seam_of(points, footprint_px)
+    if seam is None:
+        return quality
+    at_px = places_px if len(places_px) else points.predicted_px
+    expected_px = float(np.hypot(quality.expected_ce90_px, seam.off_px(fitted.correction, at_px)))
+    return replace(quality.at_most("fair", seam.text(at_px, footprint_px)), expected_ce90_px=expected_px)
 
 
 def _with_prior(quality: Quality, points: TiePointTable, size_m: float) -> Quality:
@@ -520,14 +602,21 @@ def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
     )
 
 
-def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
+def _by_matching(
+    pair: Pair, log: JobLog, runner: Runner, around_px: tuple[float, float] | None = None
+) -> Matches:
+    """Match a pair from the best start, or of frames around a displacement, but for none at all."""
     settings, views = pair.settings, pair.views
     with log.stage("reading"):
-        runner.expect(count_tiles(views, settings))
         log.on_event(Progress("reading", 0, 1))
         overviews = read_overviews(views)
         log.on_event(Progress("reading", 1, 1))
-    matched, views = match_from_best_start(views, overviews, settings, log, runner)
+    if around_px is None:
+        matched, views = match_from_best_start(views, overviews, settings, log, runner)
+    else:
+        radius_px = min(RADIUS_PX, max(2, round(np.abs(around_px).max()) - 3))
+        start = StartingAlignment(Prealignment("search", around_px, radius_px, True), views, overviews)
+        matched = match_scene(start, settings, log, runner)
     if pair.rpc and matched.verdict.accepted:
         check_start(pair.rpc, matched.prealignment, views.reference.grid, settings)
         matched, views = match_again_from_shifted_rpc(matched, views, settings, log, runner)
@@ -537,12 +626,17 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
     motions = tuple(motion for motion, _ in matched.motions) if several else tuple(matched.patches)
     if motions and matched.verdict.accepted:
         log.warn(describe_motions(motions, taken=True))
+    for doubt in matched.doubts:
+        log.warn(doubt.text)
+    if matched.verdict.accepted and geometry.name == "planar":
+        table = _with_error_of_sides(table, matched.matches[matched.kept], views, log)
     jitter_px = matched.jitter_px * float(file_px_per_px(views.target).max())
-    if jitter_px > 0:
+    if jitter_px >= LEAST_TOLD_JITTER_PX:
         log.warn(
-            f"rows or columns move against each other by {jitter_px:.2f} px (RMS) within a matching window, "
-            "as those of a line scanner that shakes (jitter): tie points are means over it; a smaller "
-            "--window with --model jitter may follow"
+            f"rows or columns move against each other by {jitter_px:.2f} px (RMS) within a matching window: "
+            "tie points are means over it; resampling by nearest neighbour does that, by steps of up to half "
+            "a pixel, and a line scanner that shakes (jitter), which a smaller --window with --model jitter "
+            "may follow"
         )
     return Matches(
         pair=pair,
@@ -559,14 +653,50 @@ def _by_matching(pair: Pair, log: JobLog, runner: Runner) -> Matches:
         jitter_px=jitter_px,
         job=matched.job,
         scales=matched.scales,
+        doubts=matched.doubts if matched.verdict.accepted else (),
     )
 
 
-def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo) -> Float64:
-    """Return (n, 2) target px that the original georeferencing predicts for the ground in common."""
+def _with_error_of_sides(
+    table: TiePointTable, points: TiePoints, views: ViewPair, log: JobLog
+) -> TiePointTable:
+    """Return tie points whose sigmas hold the error that they share where edges differ by side."""
+    error_px = error_of_sides_px(views, points) * file_px_per_px(views.target)
+    if not error_px.any():
+        return table
+    log.warn(
+        f"rising and falling edges lie ({2 * error_px[0]:.1f}, {2 * error_px[1]:.1f}) px (col, row) apart, "
+        "as where one image shows heights, or other shadows: the tie points are means of the two, and share "
+        "an error of half of that, which no residual shows and their sigmas hold"
+    )
+    shared_px2 = np.diag((error_px / COMMON_SIGMA) ** 2)
+    return replace(table, covariance_px2=table.covariance_px2 + shared_px2)
+
+
+def _counted_px(matches: Matches, selection: Selection, log: JobLog) -> Float64:
+    """Return (n, 2) target px of the common ground, without what is bare beyond the tie points, as water is.
+
+    Nothing can be matched there, and hardly anything seen. Ground that has structure in either band counts.
+    """
+    with_structure, bare = (
+        _common_px(matches.record, matches.views, matches.pair.target, bare=is_bare)
+        for is_bare in (False, True)
+    )
+    beyond = selection.extrapolated(bare) if len(bare) else np.zeros(0, bool)
+    share = beyond.sum() / max(len(with_structure) + len(bare), 1)
+    if share > LEAST_TOLD_BARE or (share and not len(with_structure)):
+        log.warn(
+            f"{100 * share:.0f} % of the common ground shows nothing that could be matched, such as water, "
+            "and lies beyond the tie points: the grade and the expected error are of the rest"
+        )
+    return np.concatenate([with_structure, bare[~beyond]])
+
+
+def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo, *, bare: bool) -> Float64:
+    """Return (n, 2) target px that the georeferencing predicts for the ground in common."""
     if record is None:
         return np.empty((0, 2))
-    return _predicted_px(record.common_px(pair.reference.info.grid.shape)[::3], pair, target)
+    return _predicted_px(record.common_px(pair.reference.info.grid.shape, bare=bare)[::3], pair, target)
 
 
 def _predicted_px(reference_px: Float64, pair: ViewPair, target: RasterInfo) -> Float64:
@@ -594,7 +724,7 @@ def _whole_px(pair: Pair) -> Float64 | None:
     by_rpc = isinstance(ref.grid, RpcGrid) or isinstance(tgt.grid, RpcGrid)
     views = plan_rpc_views(ref, tgt) if by_rpc else plan_views(ref, tgt)
     if pair.settings.extent is None:
-        places = _common_px(record_ground(views), views, pair.target)
+        places = _common_px(record_ground(views), views, pair.target, bare=False)
     else:
         (rows, cols), size = ref.grid.shape, np.array(tgt.grid.shape[::-1])
         lattice = np.meshgrid(*(np.linspace(0.5, n - 0.5, 64) for n in (cols, rows)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
@@ -16,36 +16,16 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.events import EventCallback, JobLog, Progress, only_warnings
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching.epipolar import (
-    MIN_EPIPOLAR_MATCHES,
-    epipolar_evidence,
-    on_their_lines,
-    parallax_evidence,
-)
+from pcwlad_geo.matching.calibration import calibrate
+from pcwlad_geo.matching.epipolar import EPIPOLAR, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.field import Prediction, Surface, predict
-from pcwlad_geo.matching.guidance import (
-    MIN_FOR_FIELD,
-    WINDOW_SAMPLE,
-    FieldGuide,
-    Lost,
-    Predictor,
-    Scales,
-    WindowErrors,
-    calibrate,
-    expect_lost,
-    guide_by_field,
-    jitter_px,
-)
+from pcwlad_geo.matching.guidance import GUIDANCE, FieldGuide, Predictor, guide_by_field
+from pcwlad_geo.matching.jitter import jitter_px
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
-from pcwlad_geo.matching.matcher import (
-    can_try_again,
-    choose_scales,
-    consistent_points,
-    matched_again,
-    window_sample,
-)
-from pcwlad_geo.matching.outliers import confirmed
+from pcwlad_geo.matching.lost_candidates import Lost, can_try_again, expect_lost
+from pcwlad_geo.matching.outliers import confirmed, consistent_points
 from pcwlad_geo.matching.pose import mean_distance_px
+from pcwlad_geo.matching.second_pass import matched_again
 from pcwlad_geo.matching.types import (
     FIRST_WINDOW_PX,
     LARGE_WINDOWS_PX,
@@ -54,12 +34,15 @@ from pcwlad_geo.matching.types import (
     MatchSettings,
     TiePoints,
 )
+from pcwlad_geo.matching.windows import WINDOWS, Scales, WindowErrors, choose_scales, window_sample
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products import of_one_product
-from pcwlad_geo.raster.grid import middle_pixel_size_m
+from pcwlad_geo.products.finding import of_one_product
+from pcwlad_geo.raster.file_tree import file_name
+from pcwlad_geo.raster.grid import jacobian, middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration.fitting import Doubt
 from pcwlad_geo.registration.judge import (
     DISPLACED_SHARE,
     GEOREFERENCED_PX,
@@ -67,6 +50,7 @@ from pcwlad_geo.registration.judge import (
     PRODUCT_M,
     Motion,
     Verdict,
+    agree_closely,
     is_doubtful,
     judge,
     motion_of_the_ground,
@@ -86,16 +70,27 @@ from pcwlad_geo.registration.prealign import (
     by_search,
     can_be_posed,
     direct_start,
+    has_few_values,
     load_start_matcher,
     posed_start,
     proposed_start,
     read_overviews,
+    scales_of_frames,
     searches_first,
     target_offset_px,
 )
 from pcwlad_geo.registration.result import MatchRecord, record_matching
+from pcwlad_geo.registration.rivals import (
+    doubt_of_rivals,
+    doubt_of_unreached,
+    may_move,
+    rivals_in,
+    start_at,
+    unreached_in,
+)
 from pcwlad_geo.registration.rpc import shifted
 from pcwlad_geo.registration.tiles import (
+    KEPT_BYTES,
     TileJob,
     TileResult,
     compare_stripes,
@@ -111,6 +106,8 @@ MIN_WINDOW_PX: Final = 41
 """Smallest side of a matching window, and of a common area that is matched, px."""
 WINDOWS_ACROSS: Final = 1.6
 """An overlap narrower than this many windows gets smaller ones."""
+FEW_PLACES_SHARE: Final = 0.7
+"""Side of the next smaller windows where points agree in too few places, as a share of the last ones."""
 CHOSEN_ACROSS: Final = 3
 """An overlap narrower than this many of the largest window keeps the first: near edges a window sees to one
 side only, and of a small image most is near edges."""
@@ -124,6 +121,8 @@ SMALLER_WINDOWS: Final = (0.56, 0.75)
 """Sides of the windows that tell the error of a given one, shares of its own."""
 NEAR_PX: Final = 0.5
 """A target that was found nearer than this to where it was assumed is not matched again, target px."""
+MOST_MOVES: Final = 3
+"""Largest number of times that matches on ground that repeats are compared with those a period off."""
 SHARED_GREY_ERROR_PX: Final = 0.2
 """Error per axis that matches of grey values share, as slopes and shadows have tones of their own in each
 band: RMS of six pairs on which structure tells more, 0.06 to 0.33 px."""
@@ -155,6 +154,17 @@ class Matched:
     """One of the tiles, as all were matched."""
     scales: Scales | None = None
     """The windows of the last pass; None where there was none."""
+    lost_px: Float64 = field(default_factory=lambda: np.empty((0, 2)))
+    """(n, 2) candidates of the first pass that gave no match, view px of the reference (col, row)."""
+    doubts: tuple[Doubt, ...] = ()
+    """What speaks against the displacement taken."""
+    first_only: bool = False
+    """Whether the first candidates of a small image agreed, so that no others were matched."""
+
+    @property
+    def displacement_px(self) -> Float64:
+        """(2,) median (col, row) of what is kept, px of the target view minus those of the reference view."""
+        return np.asarray(np.median(self.matches.displacement_px[self.kept], axis=0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,8 +174,6 @@ class _FirstPass:
     jobs: list[TileJob]
     results: list[TileResult]
     """In the order of the jobs."""
-    workers: list[int | None]
-    """Which worker did each job."""
 
     @property
     def matches(self) -> TiePoints:
@@ -214,6 +222,34 @@ class _FirstPass:
 def match_scene(start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner) -> Matched:
     """Match all tiles of a scene from one start, and judge what they gave.
 
+    Where the first candidates of a small image agree, but leave the verdict or the motion of the ground open,
+    all are matched. Where the points agree closely in too few places, and the size of the windows is not
+    given, the scene is matched again with smaller windows, of which more fit into the same ground, and judged
+    by these.
+    """
+    matched = _match_with_windows(start, settings, log, runner)
+    if matched.first_only and (not matched.verdict.accepted or len(matched.motions) > 1 or matched.patches):
+        settings = replace(settings, features=settings.candidates)
+        matched = _match_with_windows(start, settings, log, runner)
+    again = matched
+    while settings.window is None and again.verdict.smaller_windows and again.window_px > MIN_WINDOW_PX:
+        window_px = max(MIN_WINDOW_PX, int(FEW_PLACES_SHARE * again.window_px) // 2 * 2 + 1)
+        smaller = replace(settings, window=window_px, template=min(settings.template, window_px))
+        again = _match_with_windows(start, smaller, log, runner)
+        if again.verdict.accepted:
+            if not agree_closely(again.matches[again.kept]):  # edges of nodata pull small windows apart
+                break
+            log.warn(
+                f"windows of {matched.window_px} px give too few separate places to judge by: matched again "
+                f"with windows of {window_px} px"
+            )
+            return again
+    return matched
+
+
+def _match_with_windows(start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner) -> Matched:
+    """Match a scene once.
+
     Every candidate is matched on its own (`_first_pass`), and those that agree with their neighbours are kept
     and judged. If they are accepted, they are matched again, guided by the field of all of them, and what was
     lost is tried once more where that tells its place (`_second_pass`); the outcome is checked and calibrated
@@ -231,25 +267,21 @@ def match_scene(start: StartingAlignment, settings: Settings, log: JobLog, runne
     verdict = judge(matches, kept, counts, matching.window, radius_px, evidence=evidence)
     kept, verdict, epipolar = _by_geometry(matches, kept, verdict, pair, prealignment, settings, matching)
     window_px, jitter, other_motion, scales = matching.window, 0.0, None, None
-    motions: Sequence[tuple[Motion, Bool]] = ()
     if verdict.accepted:
         with log.stage("refining"):
             second = _second_pass(first, matches, kept, matching, not planned.sites, log, runner)
             scales, jitter, other_motion = second.scales, second.jitter_px, second.other_motion
             window_px = scales.window_px
-            chosen = replace(matching, window=window_px)
-            matches, kept, checked = _checked(second, matches, chosen, epipolar)
+            matches, kept, checked = _checked(second, matches, replace(matching, window=window_px), epipolar)
         first = first.without(checked.lost_of[checked.lost_of >= 0])
         counts = {**_sum_counts(first.results), "second_try": int(checked.recovered.sum())}
         if second.incomplete:  # do the others suffice?
             found = kept[: len(first.matches)]
             verdict = judge(first.matches, found, counts, matching.window, radius_px, evidence=evidence)
     offset_px = np.asarray(pair.offset_px, dtype=np.float64)
-    if verdict.accepted and not epipolar:
-        motions = motions_of(matches, kept, offset_px, matching.window, radius_px)
-    moved: Sequence[Motion] = ()
-    if other_motion and not epipolar:
-        moved = patches(matches, kept, other_motion, offset_px, matching.window)
+    where = offset_px, matching.window
+    motions = motions_of(matches, kept, *where, radius_px) if verdict.accepted and not epipolar else ()
+    moved = patches(matches, kept, other_motion, *where) if other_motion and not epipolar else ()
     counts |= {"inconsistent": int((~kept).sum()), "tie_points": int(kept.sum())}
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
@@ -268,6 +300,8 @@ def match_scene(start: StartingAlignment, settings: Settings, log: JobLog, runne
         jitter_px=jitter,
         job=first.jobs[0] if first.jobs else None,
         scales=scales,
+        lost_px=first.lost.reference_xy_px,
+        first_only=any(result.first_only for result in first.results),
     )
 
 
@@ -295,7 +329,7 @@ def _by_geometry(
     significance = (
         epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.net_evidence
     )
-    if not verdict.accepted and found.sum() >= MIN_EPIPOLAR_MATCHES and significance >= MIN_SIGNIFICANCE:
+    if not verdict.accepted and found.sum() >= EPIPOLAR.least_matches and significance >= MIN_SIGNIFICANCE:
         verdict = replace(
             verdict, accepted=True, reason=None, significance=significance, past_search_border=None
         )
@@ -304,15 +338,13 @@ def _by_geometry(
 
 def _first_pass(planned: Plan, log: JobLog, runner: Runner) -> _FirstPass:
     """Match the tiles planned, and small windows of second choice where the first gave too little."""
-    first = _FirstPass([], [], [])
-    upcoming = planned.first
+    first = _FirstPass([], [])
+    upcoming, kept_bytes = planned.first, KEPT_BYTES * runner.threads if runner.shares_memory else 0
     for _ in range(3):  # the first choices, and two that follow
         threads = runner.threads if len(upcoming) == 1 else 1
-        upcoming = [replace(job, returns=runner.honours_affinity, threads=threads) for job in upcoming]
-        call_results = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
-        first = _FirstPass(
-            first.jobs + upcoming, first.results + call_results.results, first.workers + call_results.workers
-        )
+        upcoming = [replace(job, kept_bytes=kept_bytes, threads=threads) for job in upcoming]
+        results = runner.run(match_tile, [(job,) for job in upcoming], "matching", log.on_event)
+        first = _FirstPass(first.jobs + upcoming, first.results + results)
         upcoming = planned.following(first.results)
         if not upcoming:
             break
@@ -412,12 +444,17 @@ def _second_pass(
     tiles, nothing = np.unique(visited), np.zeros(0, np.intp)
     parts = [np.flatnonzero(rematched & (tile_of == tile)) for tile in tiles]
     retries = [np.flatnonzero(retried.tile_of == tile) if retried else nothing for tile in tiles]
-    jobs, workers = [first.jobs[tile] for tile in tiles], [first.workers[tile] for tile in tiles]
     calls = [
-        (job, points[part], guide.part(part), scales, retried.lost.part(lost) if retried else None)
-        for job, part, lost in zip(jobs, parts, retries, strict=True)
+        (
+            first.jobs[tile],
+            points[part],
+            guide.part(part),
+            scales,
+            retried.lost.part(lost) if retried else None,
+        )
+        for tile, part, lost in zip(tiles, parts, retries, strict=True)
     ]
-    results = runner.run(rematch_tile, calls, "refining", log.on_event, workers).results if calls else []
+    results = runner.run(rematch_tile, calls, "refining", log.on_event) if calls else []
     _warn_of_failures(results, log)
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
     unread = np.zeros(len(points), bool)
@@ -452,7 +489,7 @@ def _retry_candidates(
     predict_there: Predictor,
 ) -> _Retried | None:
     """Return what is matched once more; None if the neighbours cannot predict where it lies."""
-    if np.count_nonzero(kept) < MIN_FOR_FIELD or not can_try_again(matching):
+    if np.count_nonzero(kept) < GUIDANCE.least_points or not can_try_again(matching):
         return None
     candidates, off = first.lost, np.flatnonzero(~kept)
     places = np.concatenate([candidates.reference_xy_px, matches.reference_xy_px[off]])
@@ -489,12 +526,11 @@ def _scales(
     tiles, counts = np.unique(tile_of, return_counts=True)
     # multiples of the golden ratio are spread evenly, however many are taken
     spread = np.argsort((5**0.5 - 1) / 2 * np.arange(len(tiles)) % 1, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOW_SAMPLE)) + 1
+    enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOWS.sample)) + 1
     chosen = np.sort(spread[:enough])
-    every = max(1, int(counts[chosen].sum() / WINDOW_SAMPLE))
+    every = max(1, int(counts[chosen].sum() / WINDOWS.sample))
     inside = [np.flatnonzero(tile_of == tile) for tile in tiles[chosen]]
     sample = [these[::every] for these in inside]
-    workers = [first.workers[tile] for tile in tiles[chosen]]
     on_event = partial(only_warnings, log.on_event)  # the progress is no stage's own
 
     def measured(
@@ -504,8 +540,7 @@ def _scales(
             (first.jobs[tile], points[some], guide.part(some), *windows_px)
             for tile, some in zip(tiles[chosen], sample, strict=True)
         ]
-        moved = runner.run(compare, calls, "refining", on_event, workers).results
-        return np.concatenate(moved, axis=1)
+        return np.concatenate(runner.run(compare, calls, "refining", on_event), axis=1)
 
     scales, errors = choose_scales(partial(measured, compare_windows, sample), settings)
     more = [these[:: max(1, every // 2)] for these in inside]
@@ -527,7 +562,7 @@ def _predict_on(
     if len(at) <= size:
         return predict(xy, moved, at, surface, runner.threads)
     calls = [(xy, moved, at[begin : begin + size], surface) for begin in range(0, len(at), size)]
-    return Prediction.concatenate(runner.run(predict, calls, "refining", warn).results)
+    return Prediction.concatenate(runner.run(predict, calls, "refining", warn))
 
 
 def _match_settings(
@@ -555,7 +590,7 @@ def _match_settings(
     others = _other_windows(settings, window, narrow)
     return MatchSettings(
         method=settings.method,
-        features=settings.features,
+        features=settings.features if settings.points is None else settings.candidates,
         keypoints=settings.keypoints,
         features_area_px2=float(max((rows - margin) * (cols - margin), 1)),
         template=template,
@@ -626,8 +661,11 @@ def match_from_best_start(
         if result.verdict.accepted and start.prealignment.pose is not None:
             result, start = _match_again_in_pose(result, start, settings, log, runner)
         if result.verdict.accepted:
-            result = _select_ground_motion(result, start, settings, log, runner)
+            result = _compare_with_rivals(result, start, settings, log, runner)
+            doubts = result.doubts
+            result = replace(_select_ground_motion(result, start, settings, log, runner), doubts=doubts)
             if result.verdict.accepted:
+                result = _reach_all_ground(result, start, settings, log, runner)
                 _warn_of_start(pair, result.prealignment, log)
             return result, start.pair
         if best is None or result.verdict.significance >= best[0].verdict.significance:
@@ -636,8 +674,29 @@ def match_from_best_start(
         raise InputError("no start for the matching: give --prealign auto")
     result, used = best
     final = replace(result.prealignment, searched=searched, tried=tried)
-    reason = refusal(result.verdict, final)
+    few_values = _with_few_values(pair, overviews)
+    reason = refusal(result.verdict, final, georeferenced=pair.georeferenced, few_values=few_values)
+    reason += _sizes_note(pair) if searched else ""
     return replace(result, prealignment=final, verdict=replace(result.verdict, reason=reason)), used.pair
+
+
+def _with_few_values(pair: ViewPair, overviews: Overviews) -> list[str]:
+    """Return the names of those of two rasters that are masks or maps of classes."""
+    both = (pair.reference, overviews.reference), (pair.target, overviews.target)
+    return [file_name(view.info.uri) for view, patch in both if has_few_values(patch)]
+
+
+def _sizes_note(pair: ViewPair) -> str:
+    """Return what a refusal says of two frames whose sizes differ much, but not why; empty of others."""
+    _, guessed = scales_of_frames(pair)
+    if guessed is None:
+        return ""
+    larger, ratio = ("reference", 1 / guessed) if guessed < 1 else ("target", guessed)
+    return (
+        f". The pixels of the {larger} may be {ratio:.1f} times as small, and scales about that were tried "
+        "too: if neither a quarter to four times that nor ¼ to 4 is theirs, reduce the larger frame first "
+        "(gdal_translate -outsize)"
+    )
 
 
 def _starts(
@@ -654,7 +713,7 @@ def _starts(
             matcher = load_start_matcher(settings.start_matcher)
             proposed = proposed_start(pair, matcher, settings.start_matcher, radius)
         yield proposed
-    posed = None
+    posed, guessed = None, None
     if search_first or (settings.prealign == "auto" and radius is None):
         with log.stage("prealignment"):
             log.on_event(Progress("prealignment", 0, 1))
@@ -663,17 +722,29 @@ def _starts(
         yield None if found is None else StartingAlignment(found, pair, overviews)
         if can_be_posed(pair):
             with log.stage("prealignment"):
-                posed = PoseStarts(pair, overviews, settings)
+                expected, guessed = scales_of_frames(pair)
+                posed = PoseStarts(pair, overviews, settings, expected)
                 start = posed.by_structure()
             yield start
     if search_first:
         yield direct
     elif (start := direct.by_tones(settings)) is not None:
         yield start
-    by_grey_values = iter(()) if posed is None else posed.by_grey_values()
+    if posed is not None:
+        yield from _starts_by_grey_values(posed, log)
+    if guessed is not None:
+        with log.stage("prealignment"):
+            posed = PoseStarts(pair, overviews, settings, guessed)
+            start = posed.by_structure()
+        yield start
+        yield from _starts_by_grey_values(posed, log)
+
+
+def _starts_by_grey_values(posed: PoseStarts, log: JobLog) -> Iterator[StartingAlignment]:
+    starts = posed.by_grey_values()
     while True:
         with log.stage("prealignment"):
-            start = next(by_grey_values, None)
+            start = next(starts, None)
         if start is None:
             return
         yield start
@@ -722,7 +793,7 @@ def pose_from_points(points: TiePoints, *, frames: bool) -> Float64:
     here, there = points.reference_xy_px, points.target_xy_px
     matrix = np.eye(3)
     matrix[:2] = affine_between(here, there)
-    if not frames or len(points) < MIN_FOR_FIELD:
+    if not frames or len(points) < GUIDANCE.least_points:
         return matrix
     middle = np.eye(3)
     middle[:2, 2] = here.mean(axis=0)
@@ -768,6 +839,59 @@ def _select_ground_motion(
     return replace(matched, kept=kept, counts=counts)
 
 
+def _may_lie_elsewhere(start: StartingAlignment) -> bool:
+    """Whether other displacements are asked: bands of one product, and images with RPCs, hardly err."""
+    inputs = start.pair.reference.info.uri, start.pair.target.info.uri
+    return can_be_posed(start.pair) and not of_one_product(*inputs)
+
+
+def _compare_with_rivals(
+    matched: Matched, start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner
+) -> Matched:
+    """Return the matches at the displacement at which the whole scene fits best, where the ground repeats.
+
+    Others that fit as well, or better and may not be taken, are a doubt.
+    """
+    if not _may_lie_elsewhere(start):
+        return matched
+    for _ in range(MOST_MOVES):
+        rivals = rivals_in(start, matched.displacement_px)
+        if not rivals:
+            return matched
+        best_px, away_px = rivals[0].shift_xy, rivals[0].shift_xy - matched.displacement_px
+        moved = start_at(start, best_px, float(np.hypot(*away_px)), apart=True)
+        if moved is None or not (rivals[0].is_better and may_move(settings)):
+            break
+        again = match_scene(moved, settings, log, runner)
+        if not again.verdict.accepted:
+            break
+        matched = again
+    return replace(matched, doubts=(doubt_of_rivals(start, matched.displacement_px, rivals),))
+
+
+def _reach_all_ground(
+    matched: Matched, start: StartingAlignment, settings: Settings, log: JobLog, runner: Runner
+) -> Matched:
+    """Return the matches of all ground, also where a connected part of it lies beyond the search.
+
+    Where the user has bounded that, or no smooth surface holds both, the part is a doubt.
+    """
+    if matched.epipolar or len(matched.motions) > 1 or not _may_lie_elsewhere(start):
+        return matched
+    at_px, kept, found_px = matched.matches.reference_xy_px, matched.kept, matched.displacement_px
+    lost_px = np.concatenate([matched.lost_px, at_px[~kept]])
+    start = replace(start, prealignment=matched.prealignment)
+    ground = unreached_in(start, found_px, lost_px, at_px[kept], matched.window_px)
+    if ground is None:
+        return matched
+    between = start_at(start, (found_px + ground.shift_px) / 2, ground.distance_px, apart=False)
+    if between is not None and may_move(settings):
+        again = match_scene(between, settings, log, runner)
+        if again.verdict.accepted and len(again.motions) < 2 and again.kept.sum() > kept.sum():
+            return replace(again, doubts=matched.doubts)
+    return replace(matched, doubts=(*matched.doubts, doubt_of_unreached(start, ground)))
+
+
 def _warn_of_start(pair: ViewPair, prealignment: Prealignment, log: JobLog) -> None:
     if prealignment.matched_by == "grey values":
         log.warn(
@@ -782,7 +906,11 @@ def _warn_of_start(pair: ViewPair, prealignment: Prealignment, log: JobLog) -> N
             "coarser raster): found by a search"
         )
     elif prealignment.pose is not None and pair.georeferenced:
-        log.warn(f"the georeferencing is off: a search found the target at {prealignment.pose}")
+        predicted = jacobian(
+            pair.reference.info.grid.middle_px, pair.reference.info.grid, pair.target.info.grid
+        )
+        pose = prealignment.pose.beside(predicted[0])
+        log.warn(f"the georeferencing is off: a search found the target at {pose}, beside where that puts it")
 
 
 def match_again_from_shifted_rpc(

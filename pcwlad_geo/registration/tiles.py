@@ -11,22 +11,18 @@ from typing import Final, Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales
+from pcwlad_geo.matching.first_pass import Core, margin_px, match_candidates
+from pcwlad_geo.matching.grey_values import Tones
+from pcwlad_geo.matching.guidance import FieldGuide
+from pcwlad_geo.matching.jitter import displacement_by_stripes
 from pcwlad_geo.matching.keypoints import Candidates
-from pcwlad_geo.matching.maps import Tones
-from pcwlad_geo.matching.matcher import (
-    Core,
-    displacement_by_stripes,
-    displacement_by_surroundings,
-    displacement_by_windows,
-    margin_px,
-    match_candidates,
-    rematch_with,
-    try_again,
-)
-from pcwlad_geo.matching.prepare import ChannelPair, Image, Noise, PreparedPair, prepare
-from pcwlad_geo.matching.refinement import ChannelMaps
+from pcwlad_geo.matching.local_correlation import displacement_by_surroundings
+from pcwlad_geo.matching.lost_candidates import Lost, try_again
+from pcwlad_geo.matching.noise import Noise
+from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, prepare
+from pcwlad_geo.matching.second_pass import displacement_by_windows, rematch_with
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
+from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import Patch, View
 from pcwlad_geo.types import Float64, Index
@@ -39,14 +35,15 @@ INTERPOLATED: Final = 4
 class TileCache:
     """Cache of the prepared pairs of one scene by tile; pairs that would exceed the limit are not stored."""
 
-    most_bytes: int = 120 << 20
     _scene: Hashable = None
     _pairs: dict[int, tuple[int, ChannelPair]] = field(default_factory=dict)
     """Size in bytes and pair of each tile."""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def keep(self, scene: Hashable, tile: int, pair: ChannelPair, *, alone: bool = False) -> None:
-        """Store the `pair` of `tile` if there is room, and remove those of any other `scene`.
+    def keep(
+        self, scene: Hashable, tile: int, pair: ChannelPair, most_bytes: int, *, alone: bool = False
+    ) -> None:
+        """Store the `pair` of `tile` if there is room in `most_bytes`, and remove those of any other `scene`.
 
         What interpolates the maps is kept too while there is room for all pairs with it: it is computed again
         sooner than the maps.
@@ -59,14 +56,19 @@ class TileCache:
             self._pairs[tile] = INTERPOLATED * _size(pair), pair
             if alone:
                 return
-            if not self._fits():
+            if not self._fits(most_bytes):
                 plain = {each: _maps_alone(kept) for each, (_, kept) in self._pairs.items()}
                 self._pairs = {each: (_size(kept), kept) for each, kept in plain.items()}
-            if not self._fits():
+            if not self._fits(most_bytes):
                 del self._pairs[tile]
 
-    def _fits(self) -> bool:
-        return sum(size for size, _ in self._pairs.values()) <= self.most_bytes
+    def _fits(self, most_bytes: int) -> bool:
+        return sum(size for size, _ in self._pairs.values()) <= most_bytes
+
+    def clear(self) -> None:
+        """Remove all pairs."""
+        with self._lock:
+            self._pairs.clear()
 
     def take(self, scene: Hashable, tile: int) -> ChannelPair | None:
         """Return the pair of `tile` of `scene` and remove it; None if it is not stored."""
@@ -82,11 +84,18 @@ def _size(pair: ChannelPair) -> int:
 
 def _maps_alone(pair: ChannelPair) -> ChannelPair:
     """Return a pair without what interpolates its maps."""
-    reference, target = (ChannelMaps(image.maps, image.valid) for image in (pair.reference, pair.target))
+    reference, target = (replace(image) for image in (pair.reference, pair.target))
     return ChannelPair(reference, target, pair.threads)
 
 
+KEPT_BYTES: Final = 120 << 20
+"""Size of the maps that are kept for a second pass, for each tile that is matched at a time."""
 _CACHE = TileCache()
+
+
+def forget_tiles() -> None:
+    """Free the maps that are kept for a second pass."""
+    _CACHE.clear()
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +132,8 @@ class TileJob:
     settings: MatchSettings
     threads: int = 1
     """Number of threads that the tile may use."""
-    returns: bool = False
-    """Whether the second pass goes to the same worker, which caches the maps if it can."""
+    kept_bytes: int = 0
+    """Size of the maps that all tiles together may keep for the second pass; 0 where it runs elsewhere."""
     cell_margin_px: int = 0
     """Largest distance by which a cell of candidates that begins in the core extends beyond it."""
 
@@ -161,6 +170,8 @@ class TileResult:
     """Candidates that the second pass found a match for."""
     saved_from: Index = field(default_factory=lambda: np.zeros(0, np.intp))
     """Which of those that it tried they are."""
+    first_only: bool = False
+    """Whether the first candidates agreed, so that no others were searched."""
 
 
 def match_tile(job: TileJob) -> TileResult:
@@ -180,8 +191,8 @@ def match_tile(job: TileJob) -> TileResult:
         (window.row - job.region.row, window.col - job.region.col),
     )
     points, candidates = match_candidates(pair, inside, job.settings)
-    if job.returns and len(points):
-        _CACHE.keep(job.scene, job.id, pair.channels, alone=job.core == job.region)
+    if job.kept_bytes and len(points):
+        _CACHE.keep(job.scene, job.id, pair.channels, job.kept_bytes, alone=job.core == job.region)
     return TileResult(
         job.id,
         "matched" if len(points) else "empty",
@@ -189,6 +200,7 @@ def match_tile(job: TileJob) -> TileResult:
         candidates.counts,
         None,
         candidates.lost.shifted(_origins(job)[0]),
+        first_only=not candidates.are_all,
     )
 
 
@@ -249,8 +261,8 @@ def _compared(
         return nothing
     if channels is None:
         return nothing
-    if job.returns:
-        _CACHE.keep(job.scene, job.id, channels, alone=job.core == job.region)
+    if job.kept_bytes:
+        _CACHE.keep(job.scene, job.id, channels, job.kept_bytes, alone=job.core == job.region)
     reference_origin, target_origin = _origins(job)
     between = target_origin - reference_origin
     inside = points.shifted(-reference_origin, -target_origin)
@@ -265,8 +277,8 @@ def _prepare(job: TileJob) -> PreparedPair | None:
     if not reference.valid.any() or not target.valid.any():
         return None
     return prepare(
-        job.reference_scene.image(reference),
-        job.target_scene.image(target),
+        replace(job.reference_scene.image(reference), masked=job.reference.info.mask_uri is not None),
+        replace(job.target_scene.image(target), masked=job.target.info.mask_uri is not None),
         channels=traits.channels,
         halo_px=traits.halo_px,
         threads=job.threads,

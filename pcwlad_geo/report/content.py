@@ -29,12 +29,13 @@ from pcwlad_geo.correction.error_statistics import (
 )
 from pcwlad_geo.correction.jitter import MIN_WAVE_POINTS, Peak, Profile, peaks, profile, smooth_rest
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.bands import BandPart
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
-from pcwlad_geo.raster.source import BandPart, RasterInfo, bands_of
+from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.registration.fitting import Grade, Origin
 from pcwlad_geo.registration.inputs import INLINE, InputFile
 from pcwlad_geo.registration.judge import Motion
@@ -79,6 +80,8 @@ class RequirementEntry:
     """False where the figure is not known."""
     reason: str | None
     """Why the figure is not known."""
+    caveat: str | None
+    """Why meeting it says little about the ground, whose grade is not good; else null."""
     message: str
     """The requirement and its result in one line."""
 

@@ -1,8 +1,7 @@
-"""Figures of the report: maps, distributions, coverage, candidate models and trends, all as PNG."""
+"""Figures of the report: maps, distributions, coverage, candidate models and trends, all as SVG."""
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,124 +9,74 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from matplotlib import font_manager
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
-from matplotlib.dates import ConciseDateFormatter
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch
-from matplotlib.quiver import Quiver
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from PIL import Image
 
 from pcwlad_geo.correction.error_statistics import LOCKING_PX, Proof, Sensitivity
+from pcwlad_geo.correction.jitter import Profile
+from pcwlad_geo.report.charts import (
+    LARGE,
+    NORMAL,
+    SMALL,
+    WIDTH_PX,
+    Box,
+    Chart,
+    Hatch,
+    Panel,
+    coloured,
+    day_ticks,
+    shades,
+    text_width,
+)
 from pcwlad_geo.report.content import CandidateEntry, CoverageEntry, ProfilesEntry
 from pcwlad_geo.report.statistics import KEPT, PrecisionMap
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
-WIDTH_IN: Final = 8.5
-"""Width of all figures in inches."""
-DPI: Final = 95
-"""Resolution of all figures in dots per inch."""
 COL_COLOUR, ROW_COLOUR, CHECK_COLOUR = "#0072b2", "#d55e00", "#cc79a7"
 """Colours of both axes and of check points, distinguishable with colour blindness (Okabe and Ito 2008)."""
 AXES: Final = (("column", COL_COLOUR), ("row", ROW_COLOUR))
 """Names and colours of both axes."""
 ARROW_COLOUR = "#003355"
 """Colour of arrows, dark enough on a pale image."""
-MAX_TICKS: Final = 4
-"""Largest number of intervals between the ticks of an axis."""
-TITLE_Y: Final = 1.0
-"""Position of a title, in heights of its panel; without it, matplotlib draws all labels twice to find one."""
-COLOURS: Final = 256
-"""Number of colours of a PNG, which makes it a quarter of the size without visible loss."""
+PALE: Final = 180.0
+"""Added to the grey values of an image behind marks, before they are brought into range again."""
+LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 72.0, 14.0, 43.0, 72.0, 62.0
+"""Space around panels that show an image, and between them."""
+BAR_PX: Final = 110.0
+"""Space at the right for a colour bar."""
+LEAST_SIDE_PX, MOST_SIDE_PX = 77.0, 500.0
+"""Least and largest height of such a panel."""
 
 
-def new_figure(height_in: float) -> Figure:
-    """Return an empty figure of the page's width, without a layout engine, which would draw it twice."""
-    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI)
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def close_fonts() -> None:
-    """Close the fonts that matplotlib keeps open in each thread that has drawn: two files, 9 MB."""
-    kept = getattr(font_manager, "_get_font", None)  # private, as there is no public way
-    getattr(kept, "cache_clear", lambda: None)()
-
-
-def frame_figure(
+def frame_panels(
     shape: tuple[int, int],
     backdrop: NDArray[np.uint8] | None = None,
     *,
     of: str = "reference",
     panels: int = 1,
     bar: bool = False,
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure with `panels` side by side, each the labelled frame of an image to scale.
+) -> tuple[Chart, list[Panel]]:
+    """Return a chart with `panels` side by side, each the labelled frame of an image to scale.
 
     The image is called `of` in the labels and has the `shape` (rows, cols). The `backdrop`, an (m, n) array
     of its grey values at any resolution, is drawn pale. Space is left for a colour `bar` on the right.
     """
-    left, right, top, bottom, gap = 0.75, 1.15 if bar else 0.15, 0.45, 0.75, 0.65
-    room = (WIDTH_IN - left - right - gap * (panels - 1)) / panels
     rows, cols = shape
-    height = min(max(room * rows / cols, 0.8), 5.2)
+    room = (WIDTH_PX - LEFT_PX - (BAR_PX if bar else RIGHT_PX) - GAP_PX * (panels - 1)) / panels
+    height = min(max(room * rows / cols, LEAST_SIDE_PX), MOST_SIDE_PX)
     width = min(room, height * cols / rows)
-    full = height + top + bottom
-    left += (room - width) * panels / 2  # in the middle of the page
-    figure = new_figure(full)
-    axes = [
-        figure.add_axes(
-            ((left + each * (width + gap)) / WIDTH_IN, bottom / full, width / WIDTH_IN, height / full),
-            xlim=(0, cols),
-            ylim=(rows, 0),
-        )
-        for each in range(panels)
-    ]
-    for each in axes:
-        few_ticks(each)
-        each.set_xlabel(f"{of} column, px", fontsize=9)
+    left = LEFT_PX + (room - width) * panels / 2  # in the middle of the page
+    chart = Chart(height + TOP_PX + BOTTOM_PX)
+    boxes = [Box(left + number * (width + GAP_PX), TOP_PX, width, height) for number in range(panels)]
+    made = [chart.panel(box, (0.0, float(cols)), (float(rows), 0.0)) for box in boxes]
+    for panel in made:
         if backdrop is not None:
-            style: dict[str, Any] = {"cmap": "gray", "vmin": -180, "vmax": 255, "interpolation": "nearest"}
-            each.imshow(backdrop, extent=(0, cols, rows, 0), aspect="auto", **style)
-    axes[0].set_ylabel(f"{of} row, px", fontsize=9)
-    return figure, axes
-
-
-def few_ticks(axes: Axes) -> None:
-    """Limit the ticks of both axes: a tick takes as long to draw as a thousand points."""
-    axes.tick_params(labelsize=8)
-    axes.locator_params(nbins=MAX_TICKS)
-
-
-def add_bar(axes: Axes, shown: ScalarMappable, label: str, extend: str = "neither") -> None:
-    """Draw the colour bar of `shown` with a `label` right of the panel `axes`; `extend` as in matplotlib."""
-    box = axes.get_position()
-    figure = axes.get_figure(root=True)
-    if figure is None:
-        raise TypeError("the panel is of no figure")
-    bar = figure.add_axes((box.x1 + 0.015, box.y0, 0.018, box.height))
-    figure.colorbar(shown, cax=bar, extend=extend, ticks=MaxNLocator(MAX_TICKS)).set_label(label, fontsize=9)
-    bar.tick_params(labelsize=8)
-
-
-def to_png(figure: Figure) -> bytes:
-    """Return a figure as a PNG."""
-    raw, encoded = io.BytesIO(), io.BytesIO()
-    figure.savefig(raw, format="rgba")
-    drawn = Image.frombytes("RGBA", figure.canvas.get_width_height(), raw.getvalue()).convert("RGB")
-    try:
-        few = drawn.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    except ValueError as error:  # Pillow's error for a lack of memory; the picture itself is valid
-        raise MemoryError(str(error)) from error
-    few.save(encoded, "png")
-    return encoded.getvalue()
+            pale = (backdrop.astype(np.float32) + PALE) * (255.0 / (255.0 + PALE))
+            panel.picture(pale.astype(np.uint8), smooth=True)
+        panel.x_ticks()
+        panel.y_ticks()
+        panel.frame(f"{of} column, px", f"{of} row, px" if panel is made[0] else "")
+    return chart, made
 
 
 MAX_ARROWS = 400
@@ -138,58 +87,48 @@ TYPICAL_LENGTH = 0.05
 
 def displacement_figure(
     table: TiePointTable, reference_shape: tuple[int, int], backdrop: NDArray[np.uint8] | None = None
-) -> bytes:
-    """Return a PNG of the displacements as arrows on the reference and, in a second panel, of the residuals.
+) -> str:
+    """Return an SVG of the displacements as arrows on the reference, and of the residuals in a second panel.
 
     Rejected points are left out. For the (rows, cols) of the reference and the (m, n) `backdrop` see
-    `frame_figure`.
+    `frame_panels`.
     """
     kept = thin(table.select(*KEPT), MAX_ARROWS)
     corrected = bool(np.isfinite(kept.residual_px).any())
     drawn = [("before: displacement", kept.displacement_px)]
     drawn += [("after: residual, same scale", kept.residual_px)] if corrected else []
-    figure, panels = frame_figure(reference_shape, backdrop, panels=len(drawn))
-    for axes, (title, arrows) in zip(panels, drawn, strict=True):
-        axes.set_title(title, fontsize=10, loc="left", y=TITLE_Y)
+    chart, panels = frame_panels(reference_shape, backdrop, panels=len(drawn))
+    for panel, (title, arrows) in zip(panels, drawn, strict=True):
+        panel.frame(title=title)
         if len(kept):
-            draw_arrows(axes, kept.reference_px, arrows, kept.displacement_px, max(reference_shape))
-    return to_png(figure)
+            draw_arrows(panel, kept.reference_px, arrows, kept.displacement_px, max(reference_shape))
+    return chart.svg()
 
 
 def draw_arrows(
-    axes: Axes,
+    panel: Panel,
     at_px: Float64,
     arrows_px: Float64,
     scale_of_px: Float64,
     side_px: int,
-    colours: Float64 | None = None,
-) -> Quiver:
+    colours: Sequence[str] = (ARROW_COLOUR,),
+) -> None:
     """Draw arrows and their key, rows downwards.
 
     The (n, 2) displacements `arrows_px` (col, row), target px, start at the (n, 2) `at_px` of a frame whose
-    longer side is `side_px`. The median length of the (m, 2) `scale_of_px` is drawn with `TYPICAL_LENGTH`;
-    the (n,) `colours` are values that are shown by colour.
+    longer side is `side_px`. The median length of the (m, 2) `scale_of_px` is drawn with `TYPICAL_LENGTH`.
     """
     lengths = np.hypot(*scale_of_px.T)
     typical = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     key_px = nice_number(typical or 1.0)
-    style: dict[str, Any] = {"color": ARROW_COLOUR} if colours is None else {}
-    arrows = axes.quiver(
-        *at_px.T,
-        *arrows_px.T,
-        *([] if colours is None else [colours]),
-        angles="xy",  # rows grow downwards
-        scale_units="xy",
-        scale=(typical or 1.0) / (TYPICAL_LENGTH * side_px),
-        units="inches",
-        width=0.022,
-        cmap="viridis",
-        **style,
-    )
-    at_in = axes.get_position().x1 * WIDTH_IN - 0.05, 0.12
-    style = {"coordinates": "inches", "labelpos": "W", "fontproperties": {"size": 9}}
-    axes.quiverkey(arrows, *at_in, key_px, f"{key_px:g} target px", **style)
-    return arrows
+    scale = TYPICAL_LENGTH * side_px / (typical or 1.0)
+    panel.arrows(at_px, at_px + scale * arrows_px, colours)
+    box = panel.box
+    x = box.left + box.width - key_px * scale * box.width / abs(panel.x_limits[1] - panel.x_limits[0])
+    below = box.top + box.height + 54
+    foot = np.array([[x, below], [box.left + box.width, below]])
+    panel.chart.whole().arrows(foot[:1], foot[1:], (ARROW_COLOUR,))
+    panel.chart.text(x - 7, below + 4, f"{key_px:g} target px", anchor="end")
 
 
 def thin(table: TiePointTable, most: int) -> TiePointTable:
@@ -209,56 +148,52 @@ MAX_RESIDUALS = 500
 
 def residual_figure(
     table: TiePointTable, reference_shape: tuple[int, int], backdrop: NDArray[np.uint8] | None = None
-) -> bytes:
-    """Return a PNG of the residuals as arrows on their own scale, coloured by length.
+) -> str:
+    """Return an SVG of the residuals as arrows on their own scale, coloured by length.
 
     Check points are marked by a ring, rejected points by a cross. For the (rows, cols) of the reference and
-    the (m, n) `backdrop` see `frame_figure`.
+    the (m, n) `backdrop` see `frame_panels`.
     """
-    figure, (axes,) = frame_figure(reference_shape, backdrop, bar=True)
+    chart, (panel,) = frame_panels(reference_shape, backdrop, bar=True)
     kept, rejected = (thin(table.select(*KEPT), MAX_RESIDUALS), thin(table.select("rejected"), MAX_RESIDUALS))
     check = table.select("check")
     length = np.hypot(*kept.residual_px.T)
-    marks: list[Line2D] = []
+    marks = []
+    panel.crosses(rejected.reference_px, 2.5, "#595959")
     if len(rejected):
-        marks += axes.plot(*rejected.reference_px.T, "x", color="0.35", ms=3.5, mew=0.8, label="rejected")
+        marks.append(('<path d="M-3-3L3 3M-3 3L3-3" stroke="#595959"/>', "rejected"))
     if np.isfinite(length).any():
-        side = max(reference_shape)
-        arrows = draw_arrows(axes, kept.reference_px, kept.residual_px, kept.residual_px, side, length)
-        arrows.set_clim(0, float(np.nanpercentile(length, 98)) or 1.0)
-        add_bar(axes, arrows, "residual, target px", extend="max")
-    if len(check):
-        ring = {"ms": 6, "mfc": "none", "mec": CHECK_COLOUR, "mew": 1.3}
-        marks += axes.plot(*check.reference_px.T, "o", label="check point", **ring)  # type: ignore[arg-type]
-    axes.set_title("residual, enlarged", fontsize=10, loc="left", y=TITLE_Y)
-    axes.set_xlabel("reference column, px", fontsize=9, loc="left")
-    if marks:
-        axes.legend(
-            handles=marks, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False, fontsize=9
+        most = float(np.nanpercentile(length, 98)) or 1.0
+        colours = shades(length, most, "viridis")
+        draw_arrows(
+            panel, kept.reference_px, kept.residual_px, kept.residual_px, max(reference_shape), colours
         )
-    return to_png(figure)
+        panel.bar("viridis", most, "residual, target px")
+    panel.rings(check.reference_px, 4.0, CHECK_COLOUR)
+    if len(check):
+        ring = f'<circle r="4" fill="none" stroke="{CHECK_COLOUR}" stroke-width="1.3"/>'
+        marks.append((ring, "check point"))
+    panel.frame(title="residual, enlarged")
+    chart.legend(marks, panel.box.left + panel.box.width, panel.box.top - 8)
+    return chart.svg()
 
 
-def sigma_figure(precision: PrecisionMap, points_px: Float64) -> bytes:
-    """Return a PNG of the radial sigma of the correction on the target, hatched where it extrapolates.
+def sigma_figure(precision: PrecisionMap, points_px: Float64) -> str:
+    """Return an SVG of the radial sigma of the correction on the target, hatched where it extrapolates.
 
     The (n, 2) `points_px` (col, row), target px, are the tie points of the fit.
     """
-    rows, cols = precision.target_shape
-    figure, (axes,) = frame_figure(precision.target_shape, of="target", bar=True)
+    chart, (panel,) = frame_panels(precision.target_shape, of="target", bar=True)
     sigma = np.hypot(*np.moveaxis(precision.sigma_px, 2, 0))
-    image = axes.imshow(sigma, extent=(0, cols, rows, 0), cmap="viridis", aspect="auto")
-    add_bar(axes, image, "predicted sigma, target px")
-    axes.plot(*points_px.T, ".", color="white", markersize=2.5, alpha=0.7)
-    if precision.extrapolated.any() and min(precision.extrapolated.shape) > 1:
-        axes.contourf(
-            *np.moveaxis(precision.places_px, 2, 0),
-            precision.extrapolated.astype(np.float64),
-            levels=[0.5, 1.5],
-            colors="none",
-            hatches=["///"],
-        )
-    return to_png(figure)
+    low, high = float(np.nanmin(sigma)), float(np.nanmax(sigma))
+    high = high if high > low else low + (abs(low) or 1.0) * 1e-3
+    panel.picture(coloured(sigma, low, high, "viridis"))
+    panel.bar("viridis", high, "predicted sigma, target px", low)
+    panel.dots(points_px, 1.2, "#fff", 0.7)
+    if precision.extrapolated.any():
+        panel.squares(precision.extrapolated, "", hatch="//")
+    panel.frame()
+    return chart.svg()
 
 
 BINS: Final = 31
@@ -267,49 +202,52 @@ MAX_POINTS: Final = 2000
 """Largest number of points of the scatter plot."""
 
 
-def distribution_figure(table: TiePointTable, ce90_px: float) -> bytes:
-    """Return a PNG of the residuals of fit and check points, with a circle of the radius `ce90_px`."""
-    figure = new_figure(3.1)
-    boxes = [(0.065, 0.17, 0.26, 0.72), (0.385, 0.17, 0.26, 0.72), (0.735, 0.17, 0.2627, 0.72)]
-    panels = [figure.add_axes(box) for box in boxes]
+def distribution_figure(table: TiePointTable, ce90_px: float) -> str:
+    """Return an SVG of the residuals of fit and check points, with a circle of the radius `ce90_px`."""
+    chart = Chart(298.0)
     both, check = (table.select(*names).residual_px for names in (("fit", "check"), ("check",)))
     limit = max(1.05 * float(np.percentile(np.hypot(*both.T), 99)), 1.25 * ce90_px) or 1.0
     for axis, (name, colour) in enumerate(AXES):
-        _histogram(panels[axis], both[:, axis], check[:, axis], limit, colour)
-        panels[axis].set_xlabel(f"residual in {name}, target px", fontsize=9)
-    panels[0].set_ylabel("points", fontsize=9)
-    _circle(panels[2], table, ce90_px, limit)
-    for axes in panels:
-        few_ticks(axes)
-    return to_png(figure)
+        box = Box(54.0 + 262.0 * axis, 30.0, 212.0, 214.0)
+        panel = _histogram(chart, box, both[:, axis], check[:, axis], limit, colour)
+        panel.frame(f"residual in {name}, target px", "" if axis else "points")
+    _circle(chart, Box(600.0, 30.0, 214.0, 214.0), table, ce90_px, limit)
+    return chart.svg()
 
 
-def _histogram(axes: Axes, values: Float64, check: Float64, limit: float, colour: str) -> None:
+def _histogram(chart: Chart, box: Box, values: Float64, check: Float64, limit: float, colour: str) -> Panel:
     """Draw a histogram, values beyond the limit in the outermost bars, with lines at zero and the mean."""
     edges = np.linspace(-limit, limit, BINS + 1)
-    heights, _ = np.histogram(np.clip(values, -limit, limit), edges)
-    axes.stairs(heights, edges, fill=True, color=colour, alpha=0.75, label="fit and check")
+    counts, of_check = (np.histogram(np.clip(each, -limit, limit), edges)[0] for each in (values, check))
+    panel = chart.panel(box, (-limit, limit), (0.0, 1.28 * float(max(counts.max(), 1))))
+    steps = np.repeat(edges, 2)
+    panel.area(steps, np.r_[0, np.repeat(counts, 2), 0], colour, 0.75)
     if len(check):
-        heights, _ = np.histogram(np.clip(check, -limit, limit), edges)
-        axes.stairs(heights, edges, color="black", lw=1.1, label="check alone")
-    axes.axvline(0, color="0.4", lw=0.8)
-    axes.axvline(float(values.mean()), color="black", lw=1.0, ls="--", label="mean")
-    axes.set_xlim(-limit, limit)
-    axes.legend(frameon=False, fontsize=7, loc="upper right", handlelength=1.4, borderpad=0)
-    axes.margins(y=0.28)
+        panel.line(steps, np.r_[0, np.repeat(of_check, 2), 0].astype(np.float64), "#000", 1.1)
+    panel.up(0.0, "#666")
+    panel.up(float(values.mean()), "#000", 1.0, "5 3")
+    marks = [f'<rect x="-7" y="-4" width="14" height="8" fill="{colour}" opacity=".75"/>']
+    entries = [(marks[0], "fit and check")]
+    if len(check):
+        entries.append(('<path d="M-7 0H7" stroke="#000" stroke-width="1.1"/>', "check"))
+    entries.append(('<path d="M-7 0H7" stroke="#000" stroke-dasharray="5 3"/>', "mean"))
+    chart.legend(entries, box.left + box.width, box.top - 9)
+    panel.x_ticks()
+    panel.y_ticks()
+    return panel
 
 
-def _circle(axes: Axes, table: TiePointTable, ce90_px: float, limit: float) -> None:
+def _circle(chart: Chart, box: Box, table: TiePointTable, ce90_px: float, limit: float) -> None:
     fit, check = thin(table.select("fit"), MAX_POINTS), table.select("check")
-    axes.plot(*fit.residual_px.T, ".", color="0.55", ms=2.5)
-    axes.plot(*check.residual_px.T, "o", ms=4, mfc="none", mec=CHECK_COLOUR, mew=1.2)
-    axes.add_patch(Circle((0, 0), ce90_px, fill=False, color="black", lw=1.2))
-    axes.axhline(0, color="0.6", lw=0.7)
-    axes.axvline(0, color="0.6", lw=0.7)
-    axes.set(xlim=(-limit, limit), ylim=(limit, -limit))
-    axes.set_title(f"CE90 {ce90_px:.3f} px", fontsize=10, y=TITLE_Y)
-    axes.set_xlabel("residual in column, px", fontsize=9)
-    axes.set_ylabel("in row, px", fontsize=9, labelpad=0)
+    panel = chart.panel(box, (-limit, limit), (limit, -limit))
+    panel.across(0.0, "#999", 0.7)
+    panel.up(0.0, "#999", 0.7)
+    panel.dots(fit.residual_px, 1.2, "#8c8c8c")
+    panel.rings(check.residual_px, 2.8, CHECK_COLOUR, 1.2)
+    panel.circle(ce90_px, "#000")
+    panel.x_ticks()
+    panel.y_ticks()
+    panel.frame("residual in column, px", "in row, px", f"CE90 {ce90_px:.3f} px")
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +259,7 @@ class GapStyle:
     """Explanation for the reader, with advice."""
     reasons: tuple[str, ...]
     colour: str
-    hatch: str
+    hatch: Hatch
 
 
 KINDS: Final = (
@@ -329,17 +267,17 @@ KINDS: Final = (
         "no data",
         "one of the two has no data there (nodata, masked, outside): nothing can be matched",
         ("reference_without_data", "target_without_data"),
-        "0.75",
+        "#bfbfbf",
         "",
     ),
     GapStyle(
         "at an edge",
         "too near to an edge or to masked pixels: a smaller --window and --template reach further",
         ("edge", "not_comparable"),
-        "0.88",
+        "#e0e0e0",
         "..",
     ),
-    GapStyle("unreadable", "the file is damaged there", ("unread",), "0.35", "oo"),
+    GapStyle("unreadable", "the file is damaged there", ("unread",), "#595959", "oo"),
     GapStyle(
         "not asked for",
         "no window was laid there, as enough points were found elsewhere: --points all asks for more",
@@ -389,97 +327,89 @@ def missing_kinds(coverage: CoverageEntry) -> list[tuple[GapStyle, int]]:
 
 def coverage_figure(
     coverage: CoverageEntry, shape: tuple[int, int], backdrop: NDArray[np.uint8] | None = None
-) -> bytes:
-    """Return a PNG of the number of tie points of each square, and the reasons where there are none.
+) -> str:
+    """Return an SVG of the number of tie points of each square, and the reasons where there are none.
 
-    For the shape (rows, cols) of the reference and the (m, n) `backdrop` see `frame_figure`.
+    For the shape (rows, cols) of the reference and the (m, n) `backdrop` see `frame_panels`.
     """
-    figure, (axes,) = frame_figure(shape, backdrop, bar=True)
+    chart, (panel,) = frame_panels(shape, backdrop, bar=True)
     counts = np.array(coverage.points)
-    shown = axes.imshow(
-        np.ma.masked_equal(counts, 0),
-        extent=(0, shape[1], shape[0], 0),
-        cmap="Blues",
-        vmin=0,
-        vmax=max(int(counts.max()), 1),
-        alpha=0.8,
-        aspect="auto",
-        interpolation="nearest",
-    )
-    kinds = missing_kinds(coverage)
-    for kind, _ in kinds:
-        _mark(axes, np.isin(np.array(coverage.reason, dtype=object), kind.reasons), shape, kind)
-    add_bar(axes, shown, "tie points")
-    patches = [
-        Patch(facecolor=kind.colour, edgecolor="0.2", hatch=kind.hatch, lw=0.3, label=kind.label)
-        for kind, _ in kinds
-    ]
-    if patches:
-        figure.legend(
-            handles=patches, loc="upper center", ncols=4, columnspacing=1.2, frameon=False, fontsize=8
-        )
-    return to_png(figure)
+    most = max(int(counts.max()), 1)
+    tints = coloured(counts.astype(np.float64), 0, most, "blues")
+    panel.picture(np.dstack([tints, np.where(counts > 0, 204, 0).astype(np.uint8)]))
+    reasons = np.array(coverage.reason, dtype=object)
+    entries = []
+    for kind, _ in missing_kinds(coverage):
+        panel.squares(np.isin(reasons, kind.reasons), kind.colour, 0.8, kind.hatch)
+        patch = '<rect x="-9" y="-5" width="18" height="10"'
+        mark = f'{patch} fill="{kind.colour}" stroke="#333" stroke-width=".5"/>'
+        if kind.hatch:
+            mark += f'{patch} fill="{chart.hatch(kind.hatch)}"/>'
+        entries.append((mark, kind.label))
+    panel.bar("blues", float(most), "tie points")
+    panel.frame()
+    for line, first in enumerate(range(0, len(entries), 4)):
+        some = entries[first : first + 4]
+        wide = sum(text_width(text, SMALL) + 38 for _, text in some)
+        chart.legend(some, (WIDTH_PX + wide) / 2, 15.0 + 16 * line)
+    return chart.svg()
 
 
-def _mark(axes: Axes, where: Bool, shape: tuple[int, int], kind: GapStyle) -> None:
-    """Fill the squares of a kind; hatches distinguish the kinds in print."""
-    size_xy = np.array([shape[1] / where.shape[1], shape[0] / where.shape[0]])
-    corners = np.argwhere(where)[:, ::-1, None] + np.array([(0, 1, 1, 0), (0, 0, 1, 1)])
-    squares = PolyCollection(
-        corners.swapaxes(1, 2) * size_xy, fc=kind.colour, ec="0.2", alpha=0.8, hatch=kind.hatch, linewidth=0.3
-    )
-    axes.add_collection(squares, autolim=False)  # one patch per square would take three times as long
+def candidate_figure(candidates: Sequence[CandidateEntry]) -> str:
+    """Return an SVG of the cross-validated RMSE of each model with two standard errors.
 
-
-def candidate_figure(candidates: Sequence[CandidateEntry]) -> bytes:
-    """Return a PNG of the cross-validated RMSE of each model with two standard errors.
-
-    All `candidates` have an RMSE.
+    Its rows are the `candidates` in their order, all with an RMSE.
     """
-    height_in = 0.75 + 0.26 * len(candidates)
-    figure = new_figure(height_in)
-    axes = figure.add_axes((0.2, 0.5 / height_in, 0.76, 1 - 0.6 / height_in))
+    count = len(candidates)
+    chart = Chart(72.0 + 25.0 * count)
     rmse = np.array([each.rmse_px for each in candidates], dtype=float)
-    error = np.array([each.rmse_standard_error_px or 0.0 for each in candidates], dtype=float)
-    rows = np.arange(len(candidates))
-    axes.errorbar(rmse, rows, xerr=2 * error, fmt="o", color="0.35", ms=5, capsize=3, lw=1.2)
+    error = 2 * np.array([each.rmse_standard_error_px or 0.0 for each in candidates], dtype=float)
+    most = 1.05 * float((rmse + error).max()) or 1.0
+    panel = chart.panel(Box(163.0, 9.0, 620.0, 25.0 * count), (0.0, most), (count - 0.5, -0.5))
+    at = np.column_stack([rmse, np.arange(count, dtype=float)])
     chosen = np.array([each.chosen for each in candidates], dtype=bool)
-    axes.plot(rmse[chosen], rows[chosen], "D", color=COL_COLOUR, ms=8)
     names = [f"{each.name} (chosen)" if each.chosen else each.name for each in candidates]
-    axes.set_yticks(rows, names, fontsize=9)
-    axes.set(ylim=(len(candidates) - 0.5, -0.5), xlim=(0, None))
-    axes.tick_params(axis="x", labelsize=8)
-    axes.locator_params(axis="x", nbins=MAX_TICKS)
-    axes.grid(axis="x", color="0.9")
-    axes.set_axisbelow(True)
-    axes.set_xlabel("cross-validated RMSE, target px", fontsize=9)
-    return to_png(figure)
+    panel.x_ticks(grid=True)
+    panel.y_ticks([(float(row), name) for row, name in enumerate(names)], NORMAL)
+    panel.error_bars(at, error, "#595959", upright=False)
+    panel.dots(at[~chosen], 3.2, "#595959")
+    panel.dots(at[chosen], 5.0, COL_COLOUR)
+    panel.frame("cross-validated RMSE, target px")
+    return chart.svg()
 
 
-def profile_figure(profiles: ProfilesEntry) -> bytes:
-    """Return a PNG of the profiles along columns, rows and heights, with bands; titles name the waves."""
+def profile_figure(profiles: ProfilesEntry) -> str:
+    """Return an SVG of the profiles along columns, rows and heights, with bands; titles name the waves."""
     named = [("target column, px", profiles.by_column, "column")]
     named += [("target row, px", profiles.by_row, "row")]
     if profiles.by_height is not None and profiles.by_height.place:
         named += [("height, m", profiles.by_height, "height")]
-    height_in = 1.9 * len(named) + 0.3
-    figure = new_figure(height_in)
-    panels = np.atleast_1d(figure.subplots(len(named), 1, sharey=True))
-    top, bottom = 1 - 0.3 / height_in, 0.5 / height_in
-    figure.subplots_adjust(left=0.1, right=0.98, top=top, bottom=bottom, hspace=0.6)
-    for axes, (label, part, along) in zip(panels, named, strict=True):
-        for component, (name, colour) in enumerate(AXES):
-            mean = np.array(part.mean_px).reshape(-1, 2)[:, component]
-            band = np.array(part.band_px).reshape(-1, 2)[:, component]
-            axes.fill_between(part.place, mean - band, mean + band, color=colour, alpha=0.2, lw=0)
-            axes.plot(part.place, mean, color=colour, lw=1.4, label=f"in {name}")
-        axes.axhline(0, color="0.4", lw=0.8)
-        axes.set_title(wave_text(profiles, along), fontsize=9, loc="left", y=TITLE_Y)
-        axes.set_xlabel(label, fontsize=9)
-        axes.set_ylabel("displacement, px", fontsize=8)
-        few_ticks(axes)
-    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, frameon=False, fontsize=8)
-    return to_png(figure)
+    chart = Chart(182.0 * len(named) + 20.0)
+    spans = [_mean_and_band(part) for _, part, _ in named]
+    limits = _span_of(*(mean + sign * band for mean, band in spans for sign in (1, -1)))
+    for number, ((label, part, along), (mean, band)) in enumerate(zip(named, spans, strict=True)):
+        place = np.array(part.place, dtype=float)
+        across = (float(place.min()), float(place.max())) if len(place) > 1 else (0.0, 1.0)
+        panel = chart.panel(Box(76.0, 32.0 + 182.0 * number, 730.0, 108.0), across, limits)
+        for axis, (_, colour) in enumerate(AXES):
+            around = np.r_[(mean - band)[:, axis], (mean + band)[::-1, axis]]
+            panel.area(np.r_[place, place[::-1]], around, colour, 0.2)
+            panel.line(place, mean[:, axis], colour)
+        panel.across(0.0, "#666")
+        panel.x_ticks()
+        panel.y_ticks()
+        panel.frame(label, "displ., px", wave_text(profiles, along))
+    entries = [
+        (f'<path d="M-8 0H8" stroke="{colour}" stroke-width="1.6"/>', f"in {name}") for name, colour in AXES
+    ]
+    chart.legend(entries, 806.0, 14.0)
+    return chart.svg()
+
+
+def _mean_and_band(part: Profile) -> tuple[Float64, Float64]:
+    """Return the (n, 2) means of a profile and the halves of their bands."""
+    mean, band = (np.array(each, dtype=float).reshape(-1, 2) for each in (part.mean_px, part.band_px))
+    return mean, band
 
 
 def wave_text(profiles: ProfilesEntry, along: str) -> str:
@@ -503,8 +433,8 @@ TREND_POINTS: Final = 1500
 
 def trend_figure(
     table: TiePointTable, target_shape: tuple[int, int], heights_m: Float64 | None = None
-) -> bytes:
-    """Return a PNG of the residuals in column and in row against position, with the means of bins.
+) -> str:
+    """Return an SVG of the residuals in column and in row against position, with the means of bins.
 
     The table holds fit and check points of a target of the `target_shape` (rows, cols). The (n,) `heights_m`
     of the ground at the points, from the elevation model, are NaN where unknown.
@@ -515,28 +445,31 @@ def trend_figure(
     if heights_m is not None and np.isfinite(heights_m).any():
         low, high = float(np.nanmin(heights_m)), float(np.nanmax(heights_m))
         against += [("height, m", heights_m, (low, max(high, low + 1.0)))]
-    figure = new_figure(3.6)
-    grid = figure.subplots(2, len(against), sharex="col", sharey=True)
-    figure.subplots_adjust(left=0.09, right=0.99, bottom=0.13, top=0.98, wspace=0.12, hspace=0.08)
+    chart = Chart(346.0)
     limit = float(np.percentile(np.abs(table.residual_px), 99)) * 1.1 or 1.0
-    for across, (name, places, span) in enumerate(against):
-        for down, (_, colour) in enumerate(AXES):
-            axes = grid[down, across]
-            _trend(axes, places, table.residual_px[:, down], span, colour)
-            axes.set(xlim=span, ylim=(-limit, limit))
-            few_ticks(axes)
-        grid[1, across].set_xlabel(name, fontsize=9)
-    for down, (axis_name, _) in enumerate(AXES):
-        grid[down, 0].set_ylabel(f"in {axis_name}, px", fontsize=9)
-    return to_png(figure)
+    width = (WIDTH_PX - 74.0 - 8.0 - 22.0 * (len(against) - 1)) / len(against)
+    for across, (label, places, span) in enumerate(against):
+        for down, (name, colour) in enumerate(AXES):
+            box = Box(74.0 + across * (width + 22.0), 8.0 + 148.0 * down, width, 138.0)
+            panel = chart.panel(box, span, (-limit, limit))
+            _trend(panel, places, table.residual_px[:, down], colour)
+            if down:
+                panel.x_ticks()
+            if not across:
+                panel.y_ticks()
+            panel.frame(label if down else "", "" if across else f"in {name}, px")
+    return chart.svg()
 
 
-def _trend(axes: Axes, places: Float64, values: Float64, span: tuple[float, float], colour: str) -> None:
+def _trend(panel: Panel, places: Float64, values: Float64, colour: str) -> None:
     every = math.ceil(len(places) / TREND_POINTS) or 1
-    axes.plot(places[::every], values[::every], ".", color=colour, ms=2.5, alpha=0.45)
-    axes.axhline(0, color="0.4", lw=0.8)
-    middles, means, errors = bin_means(places, values, span)
-    axes.errorbar(middles, means, 2 * errors, fmt="-", marker="s", color="black", ms=3, lw=1, capsize=2)
+    panel.dots(np.column_stack([places, values])[::every], 1.2, colour, 0.45)
+    panel.across(0.0, "#666")
+    middles, means, errors = bin_means(places, values, panel.x_limits)
+    at = np.column_stack([middles, means])
+    panel.error_bars(at, 2 * errors, "#000")
+    panel.line(middles, means, "#000", 1.0)
+    panel.dots(at, 1.8, "#000")
 
 
 def bin_means(
@@ -560,53 +493,56 @@ def bin_means(
     return middles[enough], mean[enough], np.sqrt(variance / safe)[enough]
 
 
-def errors_figure(proof: Proof) -> bytes:
-    """Return a PNG of the errors as a point cloud with the circle of CE90, and of the mean error by phase."""
-    figure = new_figure(3.2)
-    cloud = figure.add_axes((0.075, 0.17, 0.32, 0.73))
-    along = figure.add_axes((0.49, 0.17, 0.49, 0.73))
+def errors_figure(proof: Proof) -> str:
+    """Return an SVG of the errors as a point cloud with the circle of CE90, and the mean error by phase."""
+    chart = Chart(307.0)
     errors = np.array([error for point in proof.map for error in point.errors_px]).reshape(-1, 2)
     limit = max(float(np.percentile(np.abs(errors), 99)) * 1.1, 1.2 * proof.ce90_px)
-    cloud.plot(*errors.T, ".", ms=2.5, color="0.45", mew=0)
-    cloud.add_patch(Circle((0, 0), proof.ce90_px, fill=False, ec=CHECK_COLOUR, lw=1.8))
-    cloud.plot(*proof.bias_px, "+", ms=11, mew=2, color="black")
-    cloud.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", adjustable="box")
-    cloud.set_title(f"errors; 90 % within {proof.ce90_px:.3f} px", fontsize=10, loc="left", y=TITLE_Y)
-    cloud.set_xlabel("column, target px", fontsize=9)
-    cloud.set_ylabel("row, target px", fontsize=9)
-    phase = [entry.phase for entry in proof.phases]
-    for axis, (name, colour) in enumerate(AXES):
-        mean = [entry.mean_px[axis] for entry in proof.phases]
-        along.plot(phase, mean, "o-", color=colour, ms=4, lw=1.5, label=name)
-    span = max(1.4 * max(abs(mean) for entry in proof.phases for mean in entry.mean_px), LOCKING_PX)
-    along.axhspan(-LOCKING_PX / 2, LOCKING_PX / 2, color="0.9", lw=0)
-    along.axhline(0, color="0.5", lw=0.8)
-    along.set(xlim=(0, 1), ylim=(-span, span))
-    along.set_title("mean error along a pixel; a wave is pixel locking", fontsize=10, loc="left", y=TITLE_Y)
-    along.set_xlabel("fraction of the displacement, px", fontsize=9)
-    along.legend(frameon=False, fontsize=9, ncols=2, loc="upper right")
-    for axes in (cloud, along):
-        few_ticks(axes)
-    return to_png(figure)
+    cloud = chart.panel(Box(70.0, 31.0, 224.0, 224.0), (-limit, limit), (limit, -limit))
+    cloud.dots(errors, 1.2, "#737373")
+    cloud.circle(proof.ce90_px, CHECK_COLOUR, 1.8)
+    cloud.crosses(np.array([proof.bias_px]), 4.5, "#000", 2.0)
+    cloud.frame("column, target px", "row, target px", f"errors; 90 % within {proof.ce90_px:.3f} px")
+    phase = np.array([entry.phase for entry in proof.phases], dtype=float)
+    means = np.array([entry.mean_px for entry in proof.phases], dtype=float).reshape(-1, 2)
+    span = max(1.4 * float(np.abs(means).max(initial=0.0)), LOCKING_PX)
+    along = chart.panel(Box(400.0, 31.0, 400.0, 224.0), (0.0, 1.0), (-span, span))
+    edge = LOCKING_PX / 2
+    along.area(np.array([0.0, 1, 1, 0]), np.array([-edge, -edge, edge, edge]), "#e6e6e6")
+    along.across(0.0, "#808080")
+    for axis, (_, colour) in enumerate(AXES):
+        along.line(phase, means[:, axis], colour, 1.5)
+        along.dots(np.column_stack([phase, means[:, axis]]), 2.4, colour)
+    title = "mean error along a pixel; a wave is pixel locking"
+    along.frame("fraction of the displacement, px", title=title)
+    marks = [(f'<path d="M-8 0H8" stroke="{colour}" stroke-width="1.6"/>', name) for name, colour in AXES]
+    chart.legend(marks, 792.0, 46.0)
+    for panel in (cloud, along):
+        panel.x_ticks()
+        panel.y_ticks()
+    return chart.svg()
 
 
-def places_figure(proof: Proof, shape: tuple[int, int], backdrop: NDArray[np.uint8] | None) -> bytes:
-    """Return a PNG of the error of each point on the reference, of `shape` (rows, cols).
+def places_figure(proof: Proof, shape: tuple[int, int], backdrop: NDArray[np.uint8] | None) -> str:
+    """Return an SVG of the error of each point on the reference, of `shape` (rows, cols).
 
     The `backdrop` has its grey values, an (m, n) array of any size.
     """
-    figure, (axes,) = frame_figure(shape, backdrop, bar=True)
-    at = np.array([point.reference_px for point in proof.map])
+    chart, (panel,) = frame_panels(shape, backdrop, bar=True)
+    at = np.array([point.reference_px for point in proof.map], dtype=float).reshape(-1, 2)
     rmse = np.array([np.sqrt(np.mean(np.sum(np.square(point.errors_px), axis=1))) for point in proof.map])
-    shown = axes.scatter(at[:, 0], at[:, 1], c=rmse, s=26, cmap="viridis", edgecolors="white", linewidths=0.5)
-    shown.set_clim(0, float(np.percentile(rmse, 98)) or 1.0)
-    add_bar(axes, shown, "error of one match, RMS, target px", extend="max")
-    axes.set_title("where the matching errs", fontsize=10, loc="left", y=TITLE_Y)
-    return to_png(figure)
+    most = float(np.percentile(rmse, 98)) or 1.0
+    colours = np.array(shades(rmse, most, "viridis"))
+    panel.dots(at, 3.6, "#fff")
+    for colour in np.unique(colours).tolist():
+        panel.dots(at[colours == colour], 3.1, colour)
+    panel.bar("viridis", most, "error of one match, RMS, target px")
+    panel.frame(title="where the matching errs")
+    return chart.svg()
 
 
-OUTCOMES: Final = {"correct": ("o", ROW_COLOUR), "refused": ("x", "black"), "incorrect": ("*", CHECK_COLOUR)}
-"""Marker and colour of each outcome of a trial."""
+OUTCOMES: Final = {"correct": ROW_COLOUR, "refused": "#000", "incorrect": CHECK_COLOUR}
+"""Colour of each outcome of a trial; refused ones are crosses, incorrect ones crosses in a ring."""
 LEVEL_AXES: Final = {
     "displacement": "displacement, px",
     "rotation": "rotation, degrees",
@@ -616,30 +552,38 @@ LEVEL_AXES: Final = {
 """Labels of the levels of each difficulty."""
 
 
-def trials_figure(found: Sensitivity) -> bytes:
-    """Return a PNG of the number of tie points of a part of the pair by the level of each difficulty."""
-    figure = new_figure(2.3)
+def trials_figure(found: Sensitivity) -> str:
+    """Return an SVG of the number of tie points of a part of the pair by the level of each difficulty."""
+    chart = Chart(221.0)
     every = [each.points for limit in found.limits for each in limit.trials]
     most = max(found.points, *every, 1)
     for number, limit in enumerate(found.limits):
-        axes = figure.add_axes((0.075 + 0.235 * number, 0.24, 0.195, 0.62))
-        levels = [each.level for each in limit.trials]
-        axes.plot(levels, [each.points for each in limit.trials], "-", color="0.7", lw=1)
-        for each in limit.trials:
-            mark, colour = OUTCOMES[each.outcome]
-            axes.plot(each.level, each.points, mark, color=colour, ms=7, clip_on=False, zorder=3)
-        axes.axhline(found.points, color="0.5", lw=0.8, ls=":")
+        levels = np.array([each.level for each in limit.trials], dtype=float)
+        points = np.array([each.points for each in limit.trials], dtype=float)
+        box = Box(66.0 + 190.0 * number, 31.0, 160.0, 137.0)
+        panel = chart.panel(box, (0.0, 1.08 * float(levels[-1])), (0.0, 1.1 * most))
         if limit.failed is not None:
-            axes.axvspan(limit.failed, 2 * levels[-1], color="0.9", lw=0)
-        axes.set(xlim=(0, 1.08 * levels[-1]), ylim=(0, 1.1 * most))
-        axes.set_xlabel(LEVEL_AXES[limit.name], fontsize=9)
-        few_ticks(axes)
-        if number:
-            axes.set_yticklabels([])
-    figure.axes[0].set_ylabel("tie points", fontsize=9)
-    title = "what a part of the pair tolerates (dot: right, x: refused, star: wrong; dotted line: as it lies)"
-    figure.axes[0].set_title(title, fontsize=10, loc="left", y=TITLE_Y)
-    return to_png(figure)
+            right = 2 * float(levels[-1])
+            ends = np.array([limit.failed, right, right, limit.failed])
+            panel.area(ends, np.array([0.0, 0, 2 * most, 2 * most]), "#e6e6e6")
+        panel.across(found.points, "#808080", 0.8, "1 3")
+        panel.line(levels, points, "#b3b3b3", 1.0)
+        for outcome, colour in OUTCOMES.items():
+            some = np.array([each.outcome == outcome for each in limit.trials], dtype=bool)
+            at = np.column_stack([levels, points])[some]
+            if outcome == "correct":
+                panel.dots(at, 3.5, colour)
+            else:
+                panel.crosses(at, 3.5, colour, 2.0)
+            if outcome == "incorrect":
+                panel.rings(at, 6.0, colour)
+        panel.x_ticks()
+        if not number:
+            panel.y_ticks()
+        panel.frame(LEVEL_AXES[limit.name], "" if number else "tie points")
+    text = "what a part of the pair tolerates (dot: right, x: refused, x in a ring: wrong; dots: as it lies)"
+    chart.text(66.0, 20.0, text, LARGE)
+    return chart.svg()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -661,30 +605,30 @@ class TimeLine:
     """First and last day that are shown."""
 
 
-def time_line_figure(line: TimeLine) -> bytes:
-    """Return a PNG of a series, columns above rows, with its model and its steps."""
-    figure = new_figure(3.9)
+def time_line_figure(line: TimeLine) -> str:
+    """Return an SVG of a series, columns above rows, with its model and its steps."""
+    chart = Chart(374.0)
+    days = line.days.astype("datetime64[D]").astype(float)
+    first, last = (day.astype("datetime64[D]") for day in line.span)
+    margin = (last - first) // 50 + np.timedelta64(1, "D")
+    limits = float((first - margin).astype(int)), float((last + margin).astype(int))
+    good, size = ~line.outliers, 2.4 if len(days) <= 100 else 1.5
     for axis, (name, colour) in enumerate(AXES):
-        axes = figure.add_axes((0.09, 0.56 - 0.45 * axis, 0.895, 0.38))
-        low, high = _span_of(line.expected_px[:, axis], line.moved_px[~line.outliers, axis])
-        shown = np.clip(line.moved_px[:, axis], low, high)
-        good, size = ~line.outliers, 4.0 if len(line.days) <= 100 else 2.5
-        bars: dict[str, Any] = {"fmt": "o", "ms": size, "color": colour, "ecolor": "0.75", "elinewidth": 1}
-        axes.errorbar(line.days[good], shown[good], line.sigma_px[good], mew=0, **bars)
-        axes.plot(line.days[~good], shown[~good], "o", ms=size + 2, mfc="none", mec="black", clip_on=False)
-        for begin, end in pairwise([0, *line.steps, len(line.days)]):
-            axes.plot(line.days[begin:end], line.expected_px[begin:end, axis], color="black", lw=1.4)
+        low, high = _span_of(line.expected_px[:, axis], line.moved_px[good, axis])
+        panel = chart.panel(Box(76.0, 14.0 + 168.0 * axis, 730.0, 142.0), limits, (low, high))
+        shown = np.column_stack([days, np.clip(line.moved_px[:, axis], low, high)])
+        panel.across(0.0, "#999")
+        panel.error_bars(shown[good], line.sigma_px[good], "#bfbfbf")
+        panel.dots(shown[good], size, colour)
+        panel.rings(shown[~good], size + 1.2, "#000", 1.0)
+        for begin, end in pairwise([0, *line.steps, len(days)]):
+            panel.line(days[begin:end], line.expected_px[begin:end, axis], "#000")
         for at in line.steps:
-            axes.axvline(line.days[at], color=CHECK_COLOUR, lw=1.5, ls="--")
-        margin = (line.span[1] - line.span[0]) // 50 + np.timedelta64(1, "D")
-        axes.set(ylim=(low, high), xlim=(line.span[0] - margin, line.span[1] + margin))
-        axes.set_ylabel(f"{name}, px", fontsize=9)
-        dates = ConciseDateFormatter(axes.xaxis.get_major_locator())  # type: ignore[no-untyped-call]
-        axes.xaxis.set_major_formatter(dates)
-        axes.axhline(0, color="0.6", lw=0.8)
-        axes.tick_params(labelsize=8)
-        axes.locator_params(axis="y", nbins=MAX_TICKS)
-    return to_png(figure)
+            panel.up(float(days[at]), CHECK_COLOUR, 1.5, "5 3")
+        panel.x_ticks(day_ticks(first, last))
+        panel.y_ticks()
+        panel.frame("", f"{name}, px")
+    return chart.svg()
 
 
 def _span_of(*values: Float64) -> tuple[float, float]:
@@ -697,26 +641,33 @@ def _span_of(*values: Float64) -> tuple[float, float]:
 
 def motion_figure(
     velocity_px: Float64, regions: NDArray[np.integer[Any]], cell_px: float, shape: tuple[int, int]
-) -> tuple[bytes, tuple[float, float, float, float]]:
-    """Return a PNG of the speed of the ground, with arrows where it moves, and the box of the map in it.
+) -> tuple[str, tuple[float, float, float, float]]:
+    """Return an SVG of the speed of the ground, with arrows where it moves, and the box of the map in it.
 
     The box is (left, top, width, height) in shares of the picture. The (rows, cols, 2) `velocity_px` (col,
     row), px a year, are those of square cells, and the (rows, cols) `regions` are above 0 where they move;
     the frame has the `shape` (rows, cols).
     """
-    figure, (axes,) = frame_figure(shape, of="frame", bar=True)
-    rows, cols = regions.shape
-    speed = np.ma.masked_invalid(np.hypot(*np.moveaxis(velocity_px, 2, 0)))
-    shown = axes.imshow(
-        speed, extent=(0, cols * cell_px, rows * cell_px, 0), cmap="YlOrRd", vmin=0, aspect="auto"
+    chart, (panel,) = frame_panels(shape, of="frame", bar=True)
+    box = panel.box
+    cells = Box(
+        box.left,
+        box.top,
+        box.width * regions.shape[1] * cell_px / shape[1],
+        box.height * regions.shape[0] * cell_px / shape[0],
     )
-    axes.set_facecolor("0.9")
+    speed = np.hypot(*np.moveaxis(velocity_px, 2, 0))
+    known = np.isfinite(speed)
+    most = float(speed[known].max(initial=0.0)) or 1.0
+    grey = np.full(3, 230, np.uint8)
+    map_panel = chart.panel(cells, (0.0, regions.shape[1] * cell_px), (regions.shape[0] * cell_px, 0.0))
+    map_panel.picture(np.where(known[..., None], coloured(speed, 0.0, most, "heat"), grey))
     row, col = np.nonzero(regions)
     if len(row):
         at = np.asarray(np.column_stack([col, row]) + 0.5, np.float64) * cell_px
         moving = velocity_px[row, col]
-        draw_arrows(axes, at, moving, moving, max(shape))
-    add_bar(axes, shown, "speed, px of the frame a year")
-    axes.set_title("motion of the ground; grey: too few images tell", fontsize=10, loc="left", y=TITLE_Y)
-    left, bottom, width, height = axes.get_position().bounds
-    return to_png(figure), (left, 1 - bottom - height, width, height)
+        draw_arrows(panel, at, moving, moving, max(shape))
+    panel.bar("heat", most, "speed, px of the frame a year")
+    panel.frame(title="motion of the ground; grey: too few images tell")
+    height = chart.height
+    return chart.svg(), (box.left / WIDTH_PX, box.top / height, box.width / WIDTH_PX, box.height / height)

@@ -24,12 +24,12 @@ from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
-from pcwlad_geo.raster.trust import trusting
+from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.registration.inputs import Inputs, grid_request, identify_inputs, requested_grid, resolve
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration
-from pcwlad_geo.report.content import SCHEMA_VERSION
-from pcwlad_geo.text import plain, read_json
+from pcwlad_geo.report.content import SCHEMA_VERSION, Report
+from pcwlad_geo.text import mismatch, plain, read_json
 
 NUMBERS = "report.json"
 """Name of the file in an output folder that describes the registration."""
@@ -109,7 +109,7 @@ def read_report(out_dir: Path) -> dict[str, Any]:
     except (OSError, ValueError, InputError):
         return {}
     known = isinstance(report, dict) and "schema_version" in report and "settings" in report
-    return report if known else {}
+    return report if known and mismatch(report, Report) is None else {}
 
 
 def report_of_same_job(
@@ -129,6 +129,8 @@ def report_of_same_job(
     reported = report["settings"] if isinstance(report["settings"], dict) else {}
     before = {name: value for name, value in reported.items() if name not in RUNNING}
     wanted = {name: value for name, value in asdict(found.settings).items() if name not in RUNNING}
+    if wanted["no_report"] and before.get("no_report") is False:  # there is a page, which does no harm
+        wanted |= {"no_report": False}
     return report if before == plain(wanted) else {}
 
 
@@ -180,6 +182,8 @@ def _report(path: Path) -> Mapping[str, Any]:
             f"{path} has schema version {report['schema_version']}, this version reads {SCHEMA_VERSION}: "
             "register the pair again"
         )
+    if (wrong := mismatch(report, Report)) is not None:
+        raise InputError(f"{path} is damaged ({wrong}): register the pair again")
     if report["status"] != "registered":
         reason = {"rejected": "the pair was refused", "matched": "it has tie points only"}
         raise InputError(

@@ -9,9 +9,9 @@ import shlex
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field, fields
-from functools import cache, partial
+from functools import cache
 from types import ModuleType
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
@@ -27,17 +27,16 @@ from pcwlad_geo.correction.error_statistics import (
     Proof,
 )
 from pcwlad_geo.errors import SettingsError
+from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.raster.source import file_name
 from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, NOTICEABLE_PX, Grade
 from pcwlad_geo.registration.result import Registration, RegistrationStatus
+from pcwlad_geo.report import figures as draw
+from pcwlad_geo.report.charts import data_uri
 from pcwlad_geo.report.content import GroupStatistics, Report, raster_entry, reference_entry
 from pcwlad_geo.report.statistics import PrecisionMap, heights_m, precision_of
 from pcwlad_geo.report.views import PairView, checkered, pair_views, read_backdrop
 from pcwlad_geo.text import plain
-
-if TYPE_CHECKING:
-    from pcwlad_geo.report.figures import GapStyle
 
 ENOUGH_CHECK_POINTS: Final = 30
 """Least number of check points of the ASPRS Positional Accuracy Standards (2023)."""
@@ -186,9 +185,9 @@ class Drawings:
 
     target_name: str
     reference_name: str
-    figures: Mapping[str, bytes | None]
-    """PNG by name; None for figures without data."""
-    missing: list[tuple[GapStyle, int]]
+    figures: Mapping[str, str | None]
+    """SVG by name; None for figures without data."""
+    missing: list[tuple[draw.GapStyle, int]]
     """Kinds of squares without tie points, and their numbers."""
     views: list[PairView]
     warp_line: str | None
@@ -219,14 +218,12 @@ def compose(
     the name of the VRT with the GCPs, for the gdalwarp line; None if none was written. The predicted sigma
     `precision` is given if it is already computed.
     """
-    from pcwlad_geo.report.figures import missing_kinds
-
     image = read_backdrop(registration.reference)
     return Drawings(
         target_name=file_name(registration.target.uri),
         reference_name=file_name(registration.reference.uri),
         figures=_figures(registration, report, precision or precision_of(registration), image),
-        missing=missing_kinds(report.coverage),
+        missing=draw.missing_kinds(report.coverage),
         views=pair_views(registration),
         warp_line=warp_line(gcps_vrt) if gcps_vrt else None,
         proved=proof_section(registration, registration.proof) if registration.proof else {},
@@ -252,7 +249,7 @@ def page_environment(package: str) -> Environment:
     environment.filters["percent"] = percent
     environment.filters["pair"] = _pair
     environment.filters["plain"] = plain
-    environment.filters["png"] = partial(_data_uri, "png")
+    environment.filters["svg"] = _svg
     environment.filters["jpeg"] = _jpeg
     environment.globals |= {
         "style": _source(environment, "style.css"),
@@ -282,13 +279,11 @@ def _figures(
     report: Report,
     precision: PrecisionMap | None,
     image: NDArray[np.uint8] | None,
-) -> dict[str, bytes | None]:
-    """Return the figures as PNG by name; None for figures without data."""
-    from pcwlad_geo.report import figures as draw  # slow to load: matplotlib
-
+) -> dict[str, str | None]:
+    """Return the figures as SVG by name; None for figures without data."""
     table, shape = registration.tie_points, registration.reference.grid.shape
     judged = report.statistics.judged
-    figures: dict[str, bytes | None] = dict.fromkeys(OPTIONAL)
+    figures: dict[str, str | None] = dict.fromkeys(OPTIONAL)
     figures["displacements"] = draw.displacement_figure(table, shape, image)
     figures["coverage"] = draw.coverage_figure(report.coverage, shape, image)
     if judged:
@@ -309,14 +304,14 @@ def _figures(
     return figures
 
 
-def _data_uri(kind: str, content: bytes) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
+def _svg(text: str) -> str:
+    return data_uri("image/svg+xml", text.encode())
 
 
 def _jpeg(image: NDArray[np.uint8]) -> str:
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "jpeg", quality=82)
-    return _data_uri("jpeg", buffer.getvalue())
+    return data_uri("image/jpeg", buffer.getvalue())
 
 
 def _figure(value: object, digits: int = 3) -> str:
@@ -503,16 +498,14 @@ def proof_page(registration: Registration, proof: Proof) -> str:
 
 def proof_section(registration: Registration, proof: Proof) -> dict[str, object]:
     """Return what the template of the section needs."""
-    from pcwlad_geo.report.figures import errors_figure, places_figure, trials_figure  # slow to load
-
     reference = registration.reference
     return {
         "proof": proof,
         "proof_answers": proof_answers(proof),
         "proof_sentence": observability_sentence(proof),
         "proof_figures": {
-            "errors": errors_figure(proof),
-            "places": places_figure(proof, reference.grid.shape, read_backdrop(reference)),
-            "trials": trials_figure(proof.sensitivity) if proof.sensitivity else None,
+            "errors": draw.errors_figure(proof),
+            "places": draw.places_figure(proof, reference.grid.shape, read_backdrop(reference)),
+            "trials": draw.trials_figure(proof.sensitivity) if proof.sensitivity else None,
         },
     }

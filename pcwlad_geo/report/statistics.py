@@ -16,13 +16,14 @@ from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.keypoints import OUTCOMES
-from pcwlad_geo.products import native_per_px, native_px_m
+from pcwlad_geo.products.finding import native_per_px, native_px_m
+from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.grid import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.raster.source import RasterInfo, file_name
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.result import GROUND, MatchRecord, Registration
-from pcwlad_geo.requirements import Requirement, RequirementResult, value_of
+from pcwlad_geo.requirements import Requirement, RequirementResult, tells_accuracy, value_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
@@ -278,9 +279,21 @@ def _judge(registration: Registration, requirement: Requirement) -> RequirementR
     if requirement.unit is not None:
         found = _length(registration, requirement)
         value, reason = (None, found) if isinstance(found, str) else (round(found, DIGITS), None)
-        return RequirementResult(requirement, value, reason)
+        caveat = _caveat(registration, requirement) if requirement.is_met(value) else None
+        return RequirementResult(requirement, value, reason, caveat)
     figure = _figure(registration, requirement.statistic)
     return RequirementResult(requirement, figure, None if figure is not None else "it is not known")
+
+
+def _caveat(registration: Registration, requirement: Requirement) -> str | None:
+    """Return what contradicts accurate tie points: the grade of the ground; None where that is good."""
+    quality = registration.quality
+    if quality is None or quality.grade == "good" or not tells_accuracy(requirement):
+        return None
+    return (
+        f"but the registration is {quality.grade}, and 90 % of the ground is expected to lie within "
+        f"{quality.expected_ce90_px:.2f} px"
+    )
 
 
 def _chosen(registration: Registration, requirement: Requirement) -> str:

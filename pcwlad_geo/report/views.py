@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Final
 
 import cv2
@@ -13,8 +14,10 @@ from rasterio.errors import RasterioError
 
 from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.plausible import is_plausible
 from pcwlad_geo.raster.grid import Window, jacobian, map_px
-from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, open_raster
+from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.source import RasterInfo, has_quick_overview
 from pcwlad_geo.raster.view import Patch, View
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.statistics import KEPT
@@ -29,7 +32,7 @@ SIDES_PER_DISPLACEMENT: Final = 30.0
 """Width of a view in displacements, within the limits, so that displacements are visible."""
 EDGES: Final = 36
 """Number of places at which an edge is looked for that shows the displacement."""
-LOOKED_AT: Final = 90
+LOOKED_AT: Final = 64
 """Number of samples along a side of a view when edges are looked for."""
 EDGE_SHARE: Final = 8.0
 """A side of the view, in standard deviations of the window in which an edge has to be straight."""
@@ -69,8 +72,6 @@ class PairView:
     """The target placed by its georeferencing."""
     after: Picture | None
     """The target corrected; None without a correction."""
-    moved: Float64 | None = None
-    """(2,) displacement (col, row) in the middle, target px; None without a correction."""
 
 
 def read_backdrop(info: RasterInfo) -> Picture | None:
@@ -86,7 +87,7 @@ def read_backdrop(info: RasterInfo) -> Picture | None:
             return None
         with open_raster(info.uri) as dataset:
             values = dataset.read(info.band, out_shape=shape).astype(np.float64)
-            valid = (dataset.read_masks(info.band, out_shape=shape) > 0) & np.isfinite(values)
+            valid = (dataset.read_masks(info.band, out_shape=shape) > 0) & is_plausible(values, info.limits)
     except (InputError, RasterioError):
         return None
     return stretched(values, valid)
@@ -156,22 +157,27 @@ def _places(registration: Registration, read: Readers) -> list[tuple[str, Float6
 def _telling_edge(registration: Registration, read: Readers, kept: TiePointTable) -> Float64 | None:
     """Return where, near the tie points, an edge makes the largest step; None if none does."""
     at_px = kept.reference_px[thin(kept.reference_px, np.hypot(*kept.sigma_px.T), EDGES)]
-    steps = [_step(_view(registration, read, "", each, LOOKED_AT)) for each in at_px]
+    steps = [_step(_outlook(registration, each), registration, read) for each in at_px]
     best = int(np.argmax([step for step, _ in steps]))
     if not steps[best][0] > 0:
         return None
     return np.asarray(at_px[best] + steps[best][1] * _side(registration, at_px[best])[0])
 
 
-def _step(view: PairView | None) -> tuple[float, Float64]:
+def _step(outlook: _Outlook | None, registration: Registration, read: Readers) -> tuple[float, Float64]:
     """Return the largest step of an edge at a line before the correction, and where, in sides of the view.
 
     It is how far the displacement moves a straight edge of both images across itself, times its contrast and
     coherence: the mean squared complex gradient is long there (structure tensor, Bigün and Granlund 1987).
     """
-    if view is None or view.after is None or view.moved is None:
+    if outlook is None or outlook.observed is None:
         return 0.0, np.zeros(2)
-    one, other = (_squared_gradient(image) for image in (view.reference, view.after))
+    reference, target = registration.reference, registration.target
+    places = (reference, read[0], outlook.nodes), (target, read[1], outlook.observed)
+    one, other = (
+        _squared_gradient(stretched(*_sampled(info, reader, _dense(nodes, LOOKED_AT))))
+        for info, reader, nodes in places
+    )
     both = one * np.abs(other) + other * np.abs(one)
     size, real, imaginary = (
         cv2.GaussianBlur(each, (0, 0), len(one) / EDGE_SHARE)
@@ -179,7 +185,8 @@ def _step(view: PairView | None) -> tuple[float, Float64]:
     )
     shared = real + 1j * imaginary
     across = np.angle(shared) / 2
-    moved = np.abs(np.cos(across) * view.moved[0] + np.sin(across) * view.moved[1])
+    col_px, row_px = outlook.moved
+    moved = np.abs(np.cos(across) * col_px + np.sin(across) * row_px)
     coherence = np.abs(shared) / np.maximum(size, 1e-12)
     steps = np.nan_to_num(np.abs(shared) ** 0.25 * coherence * moved * np.abs(np.sin(across)))
     inner = len(one) // 4
@@ -195,32 +202,59 @@ def _squared_gradient(image: Picture) -> NDArray[np.complex64]:
     return image.all() * gradient**2
 
 
-def _view(
-    registration: Registration, read: Readers, title: str, centre_px: Float64, n: int = SIDE_PX
-) -> PairView | None:
-    """Return a view of `n` x `n` samples; None where the target cannot be seen."""
-    reference, target = registration.reference, registration.target
+@dataclass(frozen=True, slots=True, eq=False)
+class _Outlook:
+    """Which pixels a view shows."""
+
+    centre_px: Float64
+    """(2,) reference px."""
+    shown_px: float
+    """Length of a side, target px."""
+    nodes: Float64
+    """(`NODES`, `NODES`, 2) places (col, row) on the reference, px."""
+    predicted: Float64
+    """The same places on the target by its georeferencing, px."""
+    observed: Float64 | None
+    """The same places on the target by the correction; None without one."""
+
+    @property
+    def moved(self) -> Float64:
+        """(2,) displacement (col, row) in the middle, target px."""
+        if self.observed is None:
+            return np.zeros(2)
+        return np.asarray((self.observed - self.predicted)[NODES // 2, NODES // 2])
+
+
+def _outlook(registration: Registration, centre_px: Float64) -> _Outlook | None:
+    """Return which pixels the view around a place shows; None where that of the target is not known."""
     predict = _prediction(registration)
     side_px, shown_px = _side(registration, centre_px)
-    room = np.array(reference.grid.shape[::-1], dtype=np.float64)
+    room = np.array(registration.reference.grid.shape[::-1], dtype=np.float64)
     centre_px = np.clip(centre_px, np.minimum(side_px, room) / 2, room - np.minimum(side_px, room) / 2)
     nodes = centre_px + (np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, NODES)] * 2), -1) * side_px)
     predicted = predict(nodes.reshape(-1, 2)).reshape(nodes.shape)
     if not np.isfinite(predicted).all():
         return None
-    correction = registration.correction
-    grey = stretched(*_sampled(reference, read[0], _dense(nodes, n)))
-    before = _sampled(target, read[1], _dense(predicted, n))
-    after = moved = None
+    correction, observed = registration.correction, None
     if correction is not None:
         observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
-        after = _sampled(target, read[1], _dense(observed, n))
-        moved = (observed - predicted)[NODES // 2, NODES // 2]
+    return _Outlook(centre_px, shown_px, nodes, predicted, observed)
+
+
+def _view(registration: Registration, read: Readers, title: str, centre_px: Float64) -> PairView | None:
+    """Return a view; None where the target cannot be seen."""
+    outlook = _outlook(registration, centre_px)
+    if outlook is None:
+        return None
+    of_target = partial(_sampled, registration.target, read[1])
+    before = of_target(_dense(outlook.predicted, SIDE_PX))
+    after = None if outlook.observed is None else of_target(_dense(outlook.observed, SIDE_PX))
     if not before[1].any() and (after is None or not after[1].any()):
         return None
-    col, row = centre_px.tolist()
+    grey = stretched(*_sampled(registration.reference, read[0], _dense(outlook.nodes, SIDE_PX)))
+    col, row = outlook.centre_px.tolist()
     corrected = None if after is None else stretched(*after)
-    return PairView(title, (col, row), shown_px, grey, stretched(*before), corrected, moved)
+    return PairView(title, (col, row), outlook.shown_px, grey, stretched(*before), corrected)
 
 
 def _prediction(registration: Registration) -> Callable[[Float64], Float64]:
@@ -246,9 +280,16 @@ def _side(registration: Registration, centre_px: Float64) -> tuple[float, float]
 
 def _dense(nodes: Float64, count: int) -> Float64:
     """Interpolate (n, n, 2) nodes linearly at `count` x `count` pixel centres."""
+    weights = _weights(count)
+    axes = np.ascontiguousarray(np.moveaxis(nodes, -1, 0))  # otherwise no BLAS multiplies them
+    return np.moveaxis(np.stack([weights @ axis @ weights.T for axis in axes]), 0, -1)
+
+
+@cache
+def _weights(count: int) -> Float64:
+    """Return the (count, n) weights of the n nodes of an axis at each pixel centre."""
     at = (np.arange(count) + 0.5) / count * (NODES - 1)
-    weights = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
-    return np.asarray(np.einsum("ra,abk,cb->rck", weights, nodes, weights, optimize=True))
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
 
 
 def _sampled(info: RasterInfo, read: Reader, at_px: Float64) -> tuple[Float64, Bool]:

@@ -25,7 +25,8 @@ from scipy import sparse
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import huber, sigma_of
 from pcwlad_geo.estimation.solving import NormalEquations, inverse, solve
-from pcwlad_geo.rigs.rig import LensModel, project, rays
+from pcwlad_geo.rigs.lens import LensModel, project, rays
+from pcwlad_geo.rigs.parameters import ADJUSTMENT
 from pcwlad_geo.types import Bool, Float64, Index
 
 LENS_SIZE: Final = 8
@@ -34,32 +35,10 @@ POSE_SIZE: Final = 6
 """Number of parameters of a pose: rotation vector and baseline."""
 PLANE_SIZE: Final = 3
 """Number of parameters of the plane of inverse depth of a capture."""
-MAX_STEPS: Final = 14
-"""Largest number of Gauss–Newton steps."""
-LENIENT_STEPS: Final = 3
-"""Steps, from the first on, in which the limit of outliers is wider, as the state is not yet accurate."""
-LEAST_SIGMA_RATIO: Final = 0.2
-"""Least ratio of the estimated sigma of a lens's points to that of their matching."""
-OUTLIER_SIGMAS: Final = 6.0
-"""Points with residuals beyond this number of sigmas, and `LEAST_OUTLIER_PX`, are outliers."""
-LEAST_OUTLIER_PX: Final = 0.6
-"""Points with residuals below this are never outliers."""
-MODEL_SIGMA_PX: Final = 0.06
-"""Standard deviation of model errors and of differences between bands, added to that of every point."""
-RELIEF_SIGMA_PX: Final = 0.1
-"""Standard deviation of the relief, as parallax of the lens with the longest baseline."""
-RELIEF_SIGMA_LIMITS: Final = (0.02, 0.3)
-"""Smallest and largest standard deviation of the relief, in inverse depth."""
-MAX_RELIEF: Final = 0.5
-"""Largest relief of a point, in inverse depth."""
-MAX_RELIEF_SIGMAS: Final = 3.0
-"""Largest relief of a point, in standard deviations of the relief of all."""
 NEEDS: Final = (
     "the adjustment of a rig needs tie points of all lenses, within their frames, with sigmas above 0"
 )
 """Message of the errors of its equations."""
-MEAN_DEPTH_SIGMA: Final = 1e-3
-"""Standard deviation of the mean inverse depth of all captures from 1: it fixes the unit of the baselines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,12 +64,12 @@ class Observations:
     @staticmethod
     def joined(parts: Sequence[Observations]) -> Observations:
         """Return the observations of all parts."""
-        names = [each.name for each in fields(Observations)]
+        names = [field.name for field in fields(Observations)]
         return Observations(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def selected(self, mask: Bool) -> Observations:
         """Return those of the (n,) `mask`."""
-        return Observations(*(getattr(self, each.name)[mask] for each in fields(self)))
+        return Observations(*(getattr(self, field.name)[mask] for field in fields(self)))
 
     def point_numbers(self) -> Index:
         """Return the (n,) numbers of the points: equal for observations of one in several lenses."""
@@ -137,7 +116,7 @@ class Adjusted:
     """Of all parameters in the order of `RigState.vector`."""
     residual_px: Float64
     """(n, 2) observed minus predicted."""
-    kept: Bool
+    inliers: Bool
     """(n,) mask of the observations that are no outliers."""
     factor: float
     """Standard deviation of the residuals over that expected of them."""
@@ -182,7 +161,7 @@ def adjust(
     if not len(observed) or not np.abs(numbers).max() <= 1e6:  # NaN is not
         raise InputError(NEEDS)
     state, point = start, observed.point_numbers()
-    observed = replace(observed, sigma_px=np.hypot(observed.sigma_px, MODEL_SIGMA_PX))
+    observed = replace(observed, sigma_px=np.hypot(observed.sigma_px, ADJUSTMENT.model_sigma_px))
     matching_sigma_px = observed.sigma_px
     relief = np.zeros(point.max() + 1)
     scale, free = sigma.vector, np.flatnonzero(sigma.vector > 0)
@@ -190,11 +169,11 @@ def adjust(
     # along the parallax predictions are linearised at no relief: at the estimated one, longer baselines would
     # be biased towards less relief. Between captures relief is many px, and is applied across the parallax
     between = observed.pose >= len(state.lenses)
-    for iteration in range(MAX_STEPS):
+    for iteration in range(ADJUSTMENT.max_steps):
         level = np.where(between, relief[point], 0.0)
         by_relief, along, residual, relief = _with_relief(state, observed, point, level)
         jacobian = _jacobian(state, observed, level, along, set(free.tolist()))
-        if sigma_by_lens and iteration >= LENIENT_STEPS:
+        if sigma_by_lens and iteration >= ADJUSTMENT.lenient_steps:
             ratios = _sigma_ratios(state, observed, residual, by_relief, matching_sigma_px)
             observed = replace(observed, sigma_px=matching_sigma_px * ratios)
         weight = _weights(residual - by_relief * relief[point, None], observed, iteration)[0]
@@ -202,7 +181,7 @@ def adjust(
         columns = jacobian[:, free] @ sparse.diags(scale[free])
         problem = _Problem(weight, point, _relief_sigma(state), expected.vector, scale, free, unit_mean_depth)
         # the derivatives by relief are kept: otherwise steps would favour states that permit more relief
-        least, moved = problem.cost(state, residual, by_relief), 0.0
+        least, largest_change = problem.cost(state, residual, by_relief), 0.0
         for _ in range(8):  # each step shorter than the one before
             step, normal = problem.step(state, columns, residual, by_relief, damping)
             change = np.zeros(len(scale))
@@ -210,20 +189,20 @@ def adjust(
             candidate = state.with_vector(state.vector + change)
             misfit = observed.lens_px - _predicted(candidate, observed, level, along)
             if problem.cost(candidate, misfit, by_relief) <= least * (1 + 1e-9):
-                state, moved = candidate, np.abs(columns @ step).max(initial=0.0)
+                state, largest_change = candidate, np.abs(columns @ step).max(initial=0.0)
                 damping = damping / 10 if damping > 1e-9 else 0.0
                 break
             damping = max(10 * damping, 1e-6)
-        if moved < 1e-4 and iteration > LENIENT_STEPS:
+        if largest_change < 1e-4 and iteration > ADJUSTMENT.lenient_steps:
             break
     relief = _with_relief(state, observed, point, level)[3]
     residual = observed.lens_px - predict(state, observed, relief[point])
-    kept = _weights(residual, observed, MAX_STEPS)[1]
+    inliers = _weights(residual, observed, ADJUSTMENT.max_steps)[1]
     # robust standard deviation of the residuals over that expected
-    factor = sigma_of(residual[kept] / observed.sigma_px[kept, None]) if kept.any() else 1.0
+    factor = sigma_of(residual[inliers] / observed.sigma_px[inliers, None]) if inliers.any() else 1.0
     deviation = np.zeros((len(scale), len(free)))
     deviation[free, np.arange(len(free))] = scale[free] * max(factor, 1.0)
-    return Adjusted(state, deviation @ inverse(normal, NEEDS) @ deviation.T, residual, kept, factor)
+    return Adjusted(state, deviation @ inverse(normal, NEEDS) @ deviation.T, residual, inliers, factor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,9 +220,9 @@ class _Problem:
     def cost(self, state: RigState, residual: Float64, by_relief: Float64) -> float:
         """Return the weighted sum of squares, each point at its best relief; infinite, never NaN."""
         square = np.bincount(self.point, self.weight * (residual**2).sum(axis=1))
-        mixed, own = _relief_sums(self.point, self.weight, residual, by_relief)
-        total = float((square - mixed**2 / (own + 1 / self.relief_sigma**2)).sum())
-        mean = self._mean_depth_row(state)[1] / MEAN_DEPTH_SIGMA if self.unit_mean_depth else 0.0
+        mixed, diagonal = _relief_sums(self.point, self.weight, residual, by_relief)
+        total = float((square - mixed**2 / (diagonal + 1 / self.relief_sigma**2)).sum())
+        mean = self._mean_depth_row(state)[1] / ADJUSTMENT.mean_depth_sigma if self.unit_mean_depth else 0.0
         total = total + float((self._deviation(state) ** 2).sum()) + mean**2
         return total if math.isfinite(total) else math.inf
 
@@ -261,7 +240,8 @@ class _Problem:
         equations.expect(free, 1.0, self._deviation(state))
         equations.expect(len(free) + np.arange(relief.shape[1]), self.relief_sigma)
         row, misfit = self._mean_depth_row(state)
-        equations.add(free, np.outer(row, row) / MEAN_DEPTH_SIGMA**2, row * misfit / MEAN_DEPTH_SIGMA**2)
+        variance = ADJUSTMENT.mean_depth_sigma**2
+        equations.add(free, np.outer(row, row) / variance, row * misfit / variance)
         normal, right = equations.reduced(len(free))
         return solve(normal + damping * np.diag(np.diag(normal)), right, NEEDS), normal
 
@@ -287,9 +267,9 @@ def _with_relief(
     along = by_relief / np.maximum(np.hypot(*by_relief.T), 1e-12)[:, None]
     residual = observed.lens_px - _predicted(state, observed, level, along)
     sigma = _relief_sigma(state)
-    mixed, own = _relief_sums(point, observed.sigma_px**-2, residual, by_relief)
-    largest = min(MAX_RELIEF_SIGMAS * sigma, MAX_RELIEF)
-    return by_relief, along, residual, np.clip(mixed / (own + sigma**-2), -largest, largest)
+    mixed, diagonal = _relief_sums(point, observed.sigma_px**-2, residual, by_relief)
+    largest = min(ADJUSTMENT.max_relief_sigmas * sigma, ADJUSTMENT.max_relief)
+    return by_relief, along, residual, np.clip(mixed / (diagonal + sigma**-2), -largest, largest)
 
 
 def _predicted(
@@ -304,9 +284,12 @@ def _predicted(
         observed.reference_px, state.lenses[0] if reference is None else reference, state.models[0]
     )
     predicted = _projected(state, observed, reference_rays, 0.0)
-    some = level != 0
-    shift = _projected(state, observed.selected(some), reference_rays[some], level[some]) - predicted[some]
-    predicted[some] += shift - (shift * along[some]).sum(axis=1)[:, None] * along[some]
+    has_relief = level != 0
+    shift = (
+        _projected(state, observed.selected(has_relief), reference_rays[has_relief], level[has_relief])
+        - predicted[has_relief]
+    )
+    predicted[has_relief] += shift - (shift * along[has_relief]).sum(axis=1)[:, None] * along[has_relief]
     return predicted
 
 
@@ -315,8 +298,8 @@ def _relief_sums(
 ) -> tuple[Float64, Float64]:
     """Return the (points,) right side and diagonal of the normal equations of the reliefs."""
     mixed: Float64 = np.bincount(point, weight * (residual * by_relief).sum(axis=1)).astype(np.float64)
-    own: Float64 = np.bincount(point, weight * (by_relief**2).sum(axis=1)).astype(np.float64)
-    return mixed, own
+    diagonal: Float64 = np.bincount(point, weight * (by_relief**2).sum(axis=1)).astype(np.float64)
+    return mixed, diagonal
 
 
 def predict(state: RigState, observed: Observations, relief: Float64 | float) -> Float64:
@@ -341,9 +324,9 @@ def _projected(
     direction = turned[:, :2] / np.maximum(turned[:, 2:], 0.05)
     result = np.empty_like(reference_rays)
     for number, model in enumerate(state.models):
-        some = observed.lens == number
-        if some.any():
-            result[some] = project(direction[some], state.lenses[number], model)
+        of_lens = observed.lens == number
+        if of_lens.any():
+            result[of_lens] = project(direction[of_lens], state.lenses[number], model)
     return result
 
 
@@ -352,9 +335,9 @@ def _weights(residual: Float64, observed: Observations, iteration: int) -> tuple
     sigma, length = observed.sigma_px, np.hypot(*residual.T)
     spread = max(1.0, float(np.median(length / sigma)) / 1.18)
     ratio = length / (sigma * spread)
-    limit = OUTLIER_SIGMAS * (4 if iteration < LENIENT_STEPS else 1)
-    kept = (ratio < limit) | (length < LEAST_OUTLIER_PX)
-    return np.where(kept, huber(ratio, 1.5 * 1.41) / sigma**2, 0.0), kept
+    limit = ADJUSTMENT.outlier_sigmas * (4 if iteration < ADJUSTMENT.lenient_steps else 1)
+    inliers = (ratio < limit) | (length < ADJUSTMENT.least_outlier_px)
+    return np.where(inliers, huber(ratio, 1.5 * 1.41) / sigma**2, 0.0), inliers
 
 
 def _sigma_ratios(
@@ -368,8 +351,8 @@ def _sigma_ratios(
     across = np.abs(residual[:, 0] * by_relief[:, 1] - residual[:, 1] * by_relief[:, 0]) / length / sigma_px
     ratio = np.ones(len(observed))
     group = np.minimum(observed.pose, len(state.lenses))
-    for each in np.unique(group):
-        ratio[group == each] = max(LEAST_SIGMA_RATIO, sigma_of(across[group == each]))
+    for number in np.unique(group):
+        ratio[group == number] = max(ADJUSTMENT.least_sigma_ratio, sigma_of(across[group == number]))
     return ratio
 
 
@@ -410,4 +393,5 @@ def _jacobian(
 def _relief_sigma(state: RigState) -> float:
     """Return the standard deviation of a point's inverse depth from the plane of its capture."""
     baseline = float(np.hypot(*state.poses[: len(state.lenses), 3:5].T).max())
-    return float(np.clip(RELIEF_SIGMA_PX / max(baseline * state.lenses[0, 0], 1e-9), *RELIEF_SIGMA_LIMITS))
+    sigma = ADJUSTMENT.relief_sigma_px / max(baseline * state.lenses[0, 0], 1e-9)
+    return float(np.clip(sigma, *ADJUSTMENT.relief_sigma_limits))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.raster.grid import jacobian, map_px, metres_between
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.grid import at_mean_height
@@ -92,9 +92,9 @@ class TiePointTable:
             raise InputError(
                 f"to_geodataframe needs GeoPandas: pip install 'pcwlad-geo[geopandas]' ({error})"
             ) from error
-        known = np.isfinite(self.xy).all(axis=1)
+        has_place = np.isfinite(self.xy).all(axis=1)
         points = np.full(len(self), None, dtype=object)
-        points[known] = shapely.points(self.xy[known])
+        points[has_place] = shapely.points(self.xy[has_place])
         crs = None if self.crs is None else self.crs.to_wkt()
         return geopandas.GeoDataFrame(columns_of(self), geometry=points, crs=crs)
 
@@ -174,7 +174,7 @@ def columns_of(table: TiePointTable) -> dict[str, NDArray[np.generic]]:
 
 def joined(table: TiePointTable, more: TiePointTable) -> TiePointTable:
     """Return the rows of one table and then those of another of the same pair."""
-    names = [each.name for each in fields(table) if each.name != "crs"]
+    names = [field.name for field in fields(table) if field.name != "crs"]
     values = {name: np.concatenate([getattr(table, name), getattr(more, name)]) for name in names}
     return TiePointTable(**values, crs=table.crs)
 

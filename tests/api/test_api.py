@@ -23,7 +23,7 @@ import pcwlad_geo as pg
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.tiepoints.writers import COLUMNS
+from pcwlad_geo.tiepoints.table import COLUMNS
 from tests.rpc_scene import UNDULATION_M
 from tests.rpc_scene import write_pair as write_rpc_pair
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write

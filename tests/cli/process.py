@@ -36,7 +36,9 @@ job = types.ModuleType("pcwlad_geo.job")
 job.register = register
 job.output_paths, job.output_folder = output_paths, output_folder
 job.products_found_once = contextlib.nullcontext
-job.open_job_runner = lambda settings, executor, on_event: contextlib.nullcontext()
+job.open_job_runner = lambda settings, executor, on_event: contextlib.nullcontext(
+    types.SimpleNamespace(shares_jobs=False, threads=1)
+)
 """
 """The module `pcwlad_geo.job` with a stand-in for the work."""
 STAND_IN = f"""
@@ -48,9 +50,6 @@ pcwlad_geo.job = sys.modules["pcwlad_geo.job"] = job
 main()
 """
 """The command line with a job that needs no libraries: its tests start many processes."""
-
-TIMERS_RUN_OUT = "threading.Timer.start = lambda timer: timer.function()"
-"""A statement that makes of any machine one so slow that every timer has run out at once."""
 
 
 def environment(tmp_path: Path) -> dict[str, str]:

@@ -165,7 +165,7 @@ def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
         "rasterio",
         "pyproj",
         "shapely",
-        "matplotlib",
+        "PIL",
         "jinja2",
         "rich",
     )

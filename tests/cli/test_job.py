@@ -35,6 +35,10 @@ DONE = """
         "tie_points": {"total": 130, "fit": 80, "check": 40, "unused": 0, "rejected": 10},
         "accuracy": {"fit": {"px": None, "m": None}, "check": {"px": figures, "m": None}}}))
 """
+POSED = DONE.replace(
+    '"displacement_m": None,',
+    '"displacement_m": None, "prealignment": {"pose": {"scale": [0.2, -0.21], "rotation_deg": 12.3}},',
+)
 SLOW = """
     import time
     from pcwlad_geo.events import Progress
@@ -54,15 +58,18 @@ STUCK = """
 WITH_WORKERS = """
     import ctypes, time
     from pcwlad_geo.events import Progress
-    from pcwlad_geo.execution.processes import OwnProcesses
+    from pcwlad_geo.execution.workers import open_runner
     def begin(event):
-        Path("workers").write_text(" ".join(map(str, runner.process_ids)))
+        if not event.done:
+            return
+        ids = [child.process.pid for child in runner._processes._all]
+        Path("workers").write_text(" ".join(map(str, ids)))
         on_event(event)
         if "stuck" in keywords["out_dir"].name:
             while True:
                 ctypes.CDLL(None).usleep(60_000_000)
-    with OwnProcesses(2, preload="") as runner:
-        runner.run(time.sleep, [(0.0,), (3600.0,)], "matching", begin)
+    with open_runner(None, on_event, jobs=2) as runner:
+        runner.run_jobs(time.sleep, [(0.0,), (3600.0,)], "matching", begin)
 """
 BOTH = ("register", "/vsimem/a.tif", "/vsimem/b.tif")  # whether GDAL knows them is the job's to say
 
@@ -83,6 +90,12 @@ def test_success_prints_a_summary(cli: Cli) -> None:
     assert "+1.250 px in column, -0.500 px in row" in result.stdout
     assert str(Path("b_registered", "report.html")) in result.stdout
     assert result.stderr == "warning: two lines\n"
+
+
+def test_a_pose_of_another_scale_is_printed_instead_of_a_displacement(cli: Cli) -> None:
+    printed = cli(*BOTH, work=POSED).stdout
+    assert "found at scale 0.200 x 0.210, rotation 12.3 degrees\n" in printed
+    assert "median displacement" not in printed
 
 
 def test_a_requirement_that_is_not_met_is_a_result_with_status_4(cli: Cli, tmp_path: Path) -> None:

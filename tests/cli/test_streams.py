@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from tests.cli.process import TIMERS_RUN_OUT, Result
+from tests.cli.process import Result
 
 Cli = Callable[..., Result]
 BOTH = ("register", "/vsimem/a.tif", "/vsimem/b.tif")  # whether GDAL knows them is the job's to say
@@ -16,7 +15,7 @@ TALK = """
     import logging, os, subprocess, sys, warnings
     from pcwlad_geo.errors import InputError
     from pcwlad_geo.events import Warned
-    from pcwlad_geo.execution.processes import OwnProcesses
+    from pcwlad_geo.execution.workers import open_runner
     warnings.simplefilter("default")
     warnings.warn("a warning of a library")
     logging.getLogger("library").warning("a log line of a library")
@@ -24,17 +23,11 @@ TALK = """
     os.write(2, b"words of a C library\\n")
     subprocess.run("echo words of a program of a library >&2", shell=True)
     on_event(Warned("our own"))
-    with OwnProcesses(2, preload="") as runner:
-        runner.run(os.write, [(2, b"words of a worker\\n")] * 4, "matching")
+    with open_runner(None, on_event, jobs=2) as runner:
+        runner.run_jobs(os.write, [(2, b"words of a worker\\n")] * 4, "matching")
     raise InputError("no such band")
 """
 TALKERS = ("warning", "log line", "words", "C library", "program", "worker")
-FIRST_FIGURE = f"""
-    import threading
-    {TIMERS_RUN_OUT}
-    import matplotlib.font_manager
-    raise ValueError("odd")
-"""
 LATE = """
     import logging, threading
     def load():
@@ -63,17 +56,6 @@ def test_debug_lets_libraries_talk(cli: Cli) -> None:
     ] == []
     assert "Traceback" in said
     assert "error: no such band\n" in said
-
-
-@pytest.mark.parametrize("folder", ["empty", "/dev/null/not-a-folder"])
-def test_matplotlib_does_not_tell_of_its_cache_of_fonts(
-    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
-) -> None:
-    """Neither where it searches for fonts nor where it cannot keep what it has found."""
-    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path / folder))
-    monkeypatch.setenv("PYTHONWARNINGS", "default")
-    result = cli(*BOTH, work=FIRST_FIGURE)
-    assert result.stderr == "error: unexpected ValueError: odd (--debug shows where)\n"
 
 
 def test_what_outlives_the_run_is_as_silent(cli: Cli) -> None:

@@ -13,9 +13,9 @@ from pcwlad_geo.multi.batches import BatchPair, PairOutcome, write_summary
 from pcwlad_geo.multi.qa_result import to_csv
 from pcwlad_geo.options import Settings
 from pcwlad_geo.text import cell
+from pcwlad_geo.tiepoints.envi import write_envi
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
-from pcwlad_geo.tiepoints.writers import write_envi
 
 FORMULAS = ["=1+1", "+1", "-cmd|' /C calc'!A0", "@SUM(A1)", "\t=1", "\r=1", "  =1", "＝1"]
 

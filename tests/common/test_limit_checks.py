@@ -11,7 +11,7 @@ import pytest
 from pcwlad_geo import limits
 from pcwlad_geo.errors import ExecutionError, InputError, SettingsError
 from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.tiepoints.readers import check_sigma
+from pcwlad_geo.tiepoints.cells import check_sigma
 
 UTM = (30.0, 0.0, 5e5, 0.0, -30.0, 4.6e6)
 
@@ -206,7 +206,7 @@ def test_numbers_of_an_rpc(name: str, most: float) -> None:
 
 
 def test_limits_that_are_compared_elsewhere() -> None:
-    """As docs/limits.md names them."""
+    """As docs/development/limits.md names them."""
     assert (limits.SEARCH_RADIUS_PX, limits.TILE_PX, limits.FEATURES) == (1024, 4096, 100_000)
     assert (limits.ITERATIONS, limits.JOBS, limits.UNREAD_PARTS) == (1000, 1024, 500)
     assert (limits.POINTS, limits.BATCH_ROWS, limits.MEMBERS) == (250_000, 100_000, 100_000)

@@ -25,14 +25,15 @@ from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.runner import LOST_AFTER_S, WARN_AFTER_S, WorkerWatch
 from pcwlad_geo.job import register
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products import LANDSAT_LISTED
+from pcwlad_geo.products.landsat import LANDSAT_LISTED
 from pcwlad_geo.raster.file_tree import tree_of
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.matching_grid import moved_across_antimeridian, plan_views
+from pcwlad_geo.raster.matching_grid import plan_views
+from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.output_grid import GridRequest, output_grid
 from pcwlad_geo.raster.rpc.model import parse_rpc_text
-from pcwlad_geo.raster.source import describe, open_raster
+from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.text import read_bytes, read_json
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -276,7 +277,8 @@ def test_sigmas_at_the_limits_are_read(cell: str, tmp_path: Path) -> None:
 
 
 def test_files_of_points_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.tiepoints.readers.POINTS", 2)
+    for module in ("cells", "envi", "geopackage"):
+        monkeypatch.setattr(f"pcwlad_geo.tiepoints.{module}.POINTS", 2)
     path = tmp_path / "points.csv"
     path.write_text("ref_col,ref_row,tgt_col,tgt_row\n" + "1,2,3,4\n" * 3)
     with pytest.raises(InputError, match="more than 2 points"):
@@ -289,12 +291,11 @@ def test_files_of_points_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_rasters_across_the_antimeridian_overlap(tmp_path: Path) -> None:
     east = describe(tiff(tmp_path / "a.tif", Affine(0.001, 0, 180.0, 0, -0.001, 10), WGS84))
     west = describe(tiff(tmp_path / "b.tif", Affine(0.001, 0, -179.99, 0, -0.001, 10), WGS84))
-    pair = plan_views(moved_across_antimeridian(east, west), west)
+    pair = plan_views(east, west)
     assert pair.offset_px == pytest.approx((-10.0, 0.0), abs=1e-6)
     assert pair.overlap.shape == (60, 50)
     patch = pair.reference.read(pair.overlap)
     assert patch.valid.all()
-    assert moved_across_antimeridian(west, west) == west
 
 
 def test_latitudes_beyond_the_poles_are_refused(tmp_path: Path) -> None:

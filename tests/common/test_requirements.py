@@ -97,5 +97,5 @@ def test_one_text_or_several(given: str | list[str]) -> None:
 
 @pytest.mark.parametrize("given", [3, [3], None])
 def test_what_is_no_text_is_told(given: object) -> None:
-    with pytest.raises(SettingsError, match=r"require = .*: give a text, or several"):
+    with pytest.raises(SettingsError, match=r"require = .*: give a text or a list"):
         Settings.from_options({"require": given})

@@ -5,6 +5,7 @@ import pytest
 
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
+from pcwlad_geo.errors import InputError
 
 from .points import affine, isotropic, noise, scattered, window_noise
 
@@ -21,6 +22,28 @@ def test_blocks_are_predicted_by_a_fit_to_the_others() -> None:
             plain = ((observed[test] - again.correction.forward(points[test])) ** 2).sum(axis=1)
             # Robust weights stay those of all points: hence not equal to the last digit.
             np.testing.assert_allclose(np.sqrt(found[test]), np.sqrt(plain), atol=0.01)
+
+
+@pytest.mark.parametrize("name", ["affine", "polynomial3", "tps"])
+def test_folds_solved_together_are_those_solved_one_by_one(name: str) -> None:
+    points = scattered(2, 240)
+    observed = affine(1.0).forward(points) + noise(2, 240, 0.1)
+    folds = cross_validation_blocks(points, 0.0).tests
+    fit = MODELS[name].fit(points, observed, isotropic(240, 0.1))
+    values = [noise(number, 240, 1.0)[:, :, None] for number in range(len(folds))]
+    together = fit.left_out(folds, values)
+    odd = np.any(folds[1::2], axis=0)
+    for fold, of_fold, found in zip(folds, values, together, strict=True):
+        alone = fit.left_out((fold, ~fold & odd, ~fold & ~odd), [of_fold] * 3)[0]
+        np.testing.assert_allclose(found, alone, atol=1e-9)
+
+
+def test_points_outside_a_fold_must_determine_the_model() -> None:
+    points = scattered(3, 60)
+    fit = MODELS["affine"].fit(points, points + noise(3, 60, 0.1), isotropic(60, 0.1))
+    nearly_all = np.arange(60) < 58
+    with pytest.raises(InputError, match="affine model needs tie points"):
+        fit.left_out((nearly_all, ~nearly_all), [points[:, :, None]] * 2)
 
 
 def test_a_projective_is_predicted_by_one_step() -> None:
@@ -49,8 +72,10 @@ def test_errors_shared_with_the_others_do_not_flatter(name: str) -> None:
         silent = SharedNoise(noise.probes, tuple(np.zeros_like(part) for part in noise.shared))
         flattered.append(left_out_errors(fit, has_foldover, silent).mean())
         missed = observed - points - fit.remainder_px
-        for test in has_foldover.tests:
-            missed[test] += fit.predictions(~test, test, fit.remainder_px[:, :, None])[..., 0]
+        folds = has_foldover.tests
+        values = [fit.remainder_px[:, :, None]] * len(folds)
+        for test, predicted in zip(folds, fit.left_out(folds, values), strict=True):
+            missed[test] += predicted[..., 0]
         true.append(((observed - points) ** 2 + missed**2).sum(axis=1).mean())
     optimism = np.mean(true) - np.mean(flattered)
     assert optimism > 5e-4

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pcwlad_geo.correction import fit, fitted
 from pcwlad_geo.correction.fit import MODELS
+from pcwlad_geo.correction.fitted import Trend
 from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.robust import Estimate
 
 from .points import (
     affine,
@@ -46,6 +49,19 @@ def test_errors_that_windows_share_are_not_taken_for_deformation() -> None:
         observed = predicted + 0.1 * window_noise(seed, predicted, 512, 81)
         wrong += choose(predicted, observed, isotropic(200, 0.1), 81).name != "shift"
     assert wrong <= 2
+
+
+@pytest.mark.parametrize(("noise_px", "expected"), [(0.12, {"shift", "affine"}), (0.02, {"polynomial2"})])
+def test_a_bend_on_few_windows_must_be_far_above_the_errors(noise_px: float, expected: set[str]) -> None:
+    """Points that errors of a few windows bend are no evidence of a bend, unless they agree closely."""
+    predicted = scattered(0, 130, 1.0) * (740, 360)
+    across = predicted[:, 0] / 370 - 1
+    bend = np.column_stack([-0.9 * across**2, 0.5 * across**2])
+    observed = predicted + bend + noise(0, 130, noise_px)
+    selection = choose(predicted, observed, isotropic(130, noise_px), 181)
+    assert selection.name in expected
+    if "affine" in expected:
+        assert "too many parameters" in selection.candidates[3].note
 
 
 @pytest.mark.slow
@@ -284,3 +300,28 @@ def test_few_points_get_a_simple_model(n: int) -> None:
     assert selection.name in ("shift", "affine")
     assert [score.chosen for score in selection.candidates].count(True) == 1
     assert all(score.note or score.chosen for score in selection.candidates)
+
+
+def test_the_robust_affine_is_fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All models but the shift start from it."""
+    points = scattered(0, 120)
+    observed = affine(1.0).forward(points) + noise(0, 120, 0.1)
+    asked, plain = [], fitted.estimate
+
+    def counted(basis: Array, *given: Array) -> Estimate:
+        asked.append(basis.shape[1])
+        return plain(basis, *given)
+
+    for module in (fitted, fit):
+        monkeypatch.setattr(module, "estimate", counted)
+    choose(points, observed, isotropic(120, 0.1), 0.0)
+    assert sorted(asked) == [1, 3]
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name not in ("shift", "drift")])
+def test_a_trend_that_is_known_changes_no_fit(name: str) -> None:
+    points = scattered(1, 120)
+    given = points, affine(1.0).forward(points) + noise(1, 120, 0.1), isotropic(120, 0.1)
+    alone, from_trend = MODELS[name].fit(*given), MODELS[name].fit(*given, trend=Trend.of(*given))
+    moved = [each.correction.forward(points) for each in (alone, from_trend)]
+    np.testing.assert_array_equal(*moved)

@@ -80,7 +80,7 @@ def test_the_citation_is_of_this_version() -> None:
 
 
 def test_the_architecture_names_the_folders_that_are_there() -> None:
-    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    page = (DOCS / "development" / "architecture.md").read_text(encoding="utf-8")
     table = page.partition("## The rooms")[2].partition("\n## ")[0]
     rooms = {path.parent.name for path in (REPOSITORY / "pcwlad_geo").glob("*/__init__.py")}
     assert {name for name in rooms if f"`{name}/`" not in table} == set()

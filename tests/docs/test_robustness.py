@@ -1,4 +1,4 @@
-"""docs/robustness.md: each test that it names is there."""
+"""docs/development/robustness.md: each test that it names is there."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parents[1]
-PAGE = TESTS.parent / "docs" / "robustness.md"
+PAGE = TESTS.parent / "docs" / "development" / "robustness.md"
 NODE_ID = re.compile(r"`([\w/]+\.py)::(\w+)`")
 
 

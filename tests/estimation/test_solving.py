@@ -17,6 +17,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import (
     BandedFactor,
     NormalEquations,
+    banded,
     check_observations,
     check_rank,
     factorised,
@@ -27,9 +28,10 @@ from pcwlad_geo.estimation.solving import (
     triangular,
     undetermined,
 )
-from pcwlad_geo.multi.adjustment import adjust, homographies
+from pcwlad_geo.multi.adjustment import adjust
+from pcwlad_geo.multi.homographies import homographies
 from pcwlad_geo.multi.network import Edge, UndeterminedImageError, named
-from pcwlad_geo.rigs.rig import homography_residual
+from pcwlad_geo.rigs.lens import homography_residual
 
 Array = NDArray[np.float64]
 
@@ -58,7 +60,7 @@ def test_regular_equations_are_solved_to_the_bits_of_numpy() -> None:
         lambda: inverse(REGULAR * 1e-310, NEEDS),
         lambda: triangular(-REGULAR, NEEDS),
         lambda: factorised(csc_array(SINGULAR), NEEDS),
-        lambda: BandedFactor(csc_array(-REGULAR), np.arange(2), NEEDS),
+        lambda: BandedFactor(banded(csc_array(-REGULAR), np.arange(2)), np.arange(2), NEEDS),
         lambda: check_rank(np.ones((5, 2)), 1e-6, NEEDS),
         lambda: check_rank(np.ones((1, 2)), 1e-6, NEEDS),
         lambda: check_rank(np.zeros((3, 2)), 1e-6, NEEDS),
@@ -75,7 +77,7 @@ def test_a_banded_factor_solves_as_a_dense_one_whatever_the_order(width: int) ->
     root = np.tril(np.triu(random.normal(size=(12, 12)), 1 - width)) + 4 * np.eye(12)
     order = random.permutation(12)
     matrix = (root @ root.T)[np.ix_(order, order)]
-    factor = BandedFactor(csc_array(matrix), order, NEEDS)
+    factor = BandedFactor(banded(csc_array(matrix), order), order, NEEDS)
     for right in (random.normal(size=12), random.normal(size=(12, 3))):
         np.testing.assert_allclose(factor.solve(right), np.linalg.solve(matrix, right), rtol=1e-10)
 

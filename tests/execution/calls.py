@@ -50,12 +50,18 @@ def fail_at_three(value: int) -> int:
     return value
 
 
-def die_once(marker: Path, value: int) -> int:
-    """Kill the worker that gets this first."""
-    if value == 3 and not marker.exists():
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
+def die_at_three(value: int) -> int:
+    """Crash as a library does."""
+    if value == 3:
+        os.kill(os.getpid(), signal.SIGSEGV)
     return value
+
+
+def thread_of(barrier: threading.Barrier | None = None) -> str:
+    """Return the name of the thread, once as many as the barrier wants are there."""
+    if barrier is not None:
+        barrier.wait(PATIENCE_S)
+    return threading.current_thread().name
 
 
 def die(value: int) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import socket
@@ -23,7 +22,6 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.events import Event, Progress, Warned
-from pcwlad_geo.execution.processes import CAN_FORK, OwnProcesses
 from pcwlad_geo.execution.runner import OnExecutor, _inspection, connected
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
@@ -74,8 +72,7 @@ def copy(large: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def work(tmp_path: Path) -> Path:
-    """An empty working folder; libraries keep their caches beside it; no search for fonts is left to do."""
-    pytest.importorskip("matplotlib.font_manager")
+    """An empty working folder; libraries keep their caches beside it."""
     folder = tmp_path / "work"
     folder.mkdir()
     return folder
@@ -184,17 +181,6 @@ def test_nothing_can_be_read_again(copy: tuple[Path, Path]) -> None:
 # --- processes that are killed ---------------------------------------------------------------------------
 
 
-@posix
-def test_a_killed_worker_changes_no_point(pair: tuple[Path, Path], whole: Registration) -> None:
-    with OwnProcesses(2) as runner:
-
-        def kill(event: Event) -> None:
-            if isinstance(event, Progress) and event.done == 1:  # in both passes
-                os.kill(runner.process_ids[0], signal.SIGKILL)
-
-        assert_same_points(run(*pair, Settings(**TILES), on_event=kill, runner=runner), whole)
-
-
 def start(folder: Path, *arguments: str | Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [*command(None), *map(str, arguments), "--progress", "json"],
@@ -239,10 +225,7 @@ def test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again
         wait_for_stage(process, stage)
         others = descendants(process.pid)
         process.kill()
-    if stage == "matching":  # two work, and one may have forked them
-        assert len(others) == 2 + CAN_FORK
-    else:  # they are gone before the files are written
-        assert others == []
+    assert len(others) == (sys.platform == "linux"), "the one that works, where another watches over it"
     wait_for_end(others)
     assert not (work / "out").exists()
     with start(work, *arguments) as process:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from multiprocessing import get_context
 
@@ -12,8 +12,8 @@ import pytest
 
 from pcwlad_geo.errors import ExecutionError
 from pcwlad_geo.events import Event, Progress
-from pcwlad_geo.execution.processes import OwnProcesses
-from pcwlad_geo.execution.runner import IN_FLIGHT, InThisProcess, OnExecutor, Runner, run_calls
+from pcwlad_geo.execution.runner import IN_FLIGHT, InThisProcess, OnExecutor, Runner
+from pcwlad_geo.execution.workers import LocalWorkers
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Settings
 from tests.execution.calls import Counting, Shuffled, die, fail_at_three, slow_square
@@ -23,32 +23,30 @@ CALLS = [(value,) for value in range(40)]
 SQUARES = [value * value for value in range(40)]
 
 
-@pytest.fixture(params=["here", "threads", "shuffled", "processes"])
+@pytest.fixture(params=["here", "threads", "shuffled", "own threads"])
 def runner(request: pytest.FixtureRequest) -> Iterator[Runner]:
     """Each kind of runner."""
     if request.param == "here":
         yield InThisProcess()
-    elif request.param == "processes":
-        with OwnProcesses(2, preload="") as processes:
-            yield processes
+    elif request.param == "own threads":
+        yield LocalWorkers(2)
     else:
         with ThreadPoolExecutor(3) if request.param == "threads" else Shuffled(1) as executor:
             yield OnExecutor(executor)
 
 
 def test_results_come_in_the_order_of_the_calls(runner: Runner) -> None:
-    call_results = runner.run(slow_square, CALLS, "squares")
-    assert call_results.results == SQUARES
-    assert len(call_results.workers) == len(CALLS)
+    assert runner.run(slow_square, CALLS, "squares") == SQUARES
+    assert runner.run_jobs(slow_square, CALLS[:1], "squares") == SQUARES[:1]
 
 
 def test_one_runner_serves_many_stages(runner: Runner) -> None:
-    assert [runner.run(slow_square, CALLS[:5], "squares").results for _ in range(3)] == [SQUARES[:5]] * 3
+    assert [runner.run(slow_square, CALLS[:5], "squares") for _ in range(3)] == [SQUARES[:5]] * 3
 
 
 def test_nothing_to_do(runner: Runner) -> None:
     events: list[Event] = []
-    assert runner.run(slow_square, [], "squares", events.append).results == []
+    assert runner.run(slow_square, [], "squares", events.append) == []
     assert events == [Progress("squares", 0, 0)]
 
 
@@ -61,7 +59,7 @@ def test_progress_counts_every_call_once(runner: Runner) -> None:
 def test_errors_of_a_call_reach_the_caller(runner: Runner) -> None:
     with pytest.raises(ValueError, match="three"):
         runner.run(fail_at_three, CALLS, "calls")
-    assert runner.run(slow_square, CALLS[:2], "squares").results == [0, 1]  # and the runner lives on
+    assert runner.run(slow_square, CALLS[:2], "squares") == [0, 1]  # and the runner lives on
 
 
 def test_an_exception_of_the_callback_ends_the_stage(runner: Runner) -> None:
@@ -77,7 +75,7 @@ def test_an_executor_gets_a_bounded_number_of_calls() -> None:
     executor = Counting()
     with executor.pool:
         calls = [(0,)] * (3 * IN_FLIGHT)
-        assert OnExecutor(executor).run(slow_square, calls, "squares").results == [0] * len(calls)
+        assert OnExecutor(executor).run(slow_square, calls, "squares") == [0] * len(calls)
     assert 2 <= executor.most <= IN_FLIGHT
 
 
@@ -116,28 +114,12 @@ def test_a_broken_executor_is_one_clear_error() -> None:
         OnExecutor(pool).run(die, CALLS[:2], "calls")
 
 
-def test_calls_go_to_the_slot_they_ask_for() -> None:
-    given: dict[int, int] = {}
-
-    def submit(index: int, slot: int) -> Future[int]:
-        given[index] = slot
-        future: Future[int] = Future()
-        future.set_result(index)
-        return future
-
-    wanted = [2, None, 2, 0, None, 7]  # there is no slot 7: a hint that cannot be followed
-    results, slots = run_calls(submit, wanted, 3, "stage", lambda event: None)
-    assert results == list(range(6))
-    assert slots == [given[index] for index in range(6)]
-    assert (given[0], given[2], given[3]) == (2, 2, 0)
-
-
 def test_the_settings_choose_the_runner() -> None:
     def kind(settings: Settings, executor: Executor | Runner | None) -> type:
         with open_job_runner(settings, executor, lambda event: None) as runner:
             return type(runner)
 
-    assert kind(Settings(), None) is OwnProcesses
+    assert kind(Settings(), None) is LocalWorkers
     with ThreadPoolExecutor(1) as pool:
         assert kind(Settings(jobs=2), pool) is OnExecutor
     here = InThisProcess()

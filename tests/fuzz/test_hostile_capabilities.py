@@ -30,6 +30,7 @@ OUTPUTS: Final = ("o/", "series/")
 
 
 @pytest.mark.slow
+@pytest.mark.gate
 @pytest.mark.parametrize("file", CASES, ids=lambda file: file.parent.name)
 def test_hostile_capabilities_end_with_a_sentence(file: Path, tmp_path: Path) -> None:
     case: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""The table of docs/robustness.md: read from what the programs print, and put into the page row by row."""
+"""The table of docs/development/robustness.md: what the programs print is put into the page by row."""
 
 from __future__ import annotations
 

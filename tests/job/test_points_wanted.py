@@ -20,7 +20,7 @@ from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.statistics import coverage_of
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.table import place
 from tests.scenes import make_grid, render, write
 
@@ -126,7 +126,7 @@ def test_those_of_a_file_are_thinned_too_and_30_are_check_points(
         np.ones(400),
         plan_views(*map(describe, pair)),
     )
-    writers.write_csv(table, tmp_path / "points.csv")
+    write_csv(table, tmp_path / "points.csv")
     found = pcwlad_geo.register(
         *pair, out_dir=tmp_path / "out", tie_points=tmp_path / "points.csv", points=120, jobs=1
     )

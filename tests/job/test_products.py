@@ -10,10 +10,9 @@ import pytest
 import rasterio
 
 import pcwlad_geo
-from pcwlad_geo import products
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, OutputError
-from pcwlad_geo.products import Product
+from pcwlad_geo.products import Product, finding
 from pcwlad_geo.raster.grid import Grid, map_px
 from tests.product_files import LANDSAT, SAFE, SHIFT_M, grid_of, packed, seen_by, write_landsat, write_safe
 
@@ -108,7 +107,9 @@ def test_an_archive_without_an_index_is_warned_of(tmp_path: Path) -> None:
     found = pcwlad_geo.match_files(
         scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL
     )
-    assert ["unpack it" in warning for warning in found.warnings[:2]] == [True, True]
+    assert ["unpack it" in warning for warning in found.warnings].count(
+        True
+    ) == 1  # of one archive, said once
 
 
 def test_a_mask_given_replaces_that_of_the_product(tmp_path: Path) -> None:
@@ -127,7 +128,7 @@ def test_a_product_without_quality_raster_is_warned_of(tmp_path: Path) -> None:
     found = pcwlad_geo.match_files(
         scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL
     )
-    assert sum("has no quality raster" in warning for warning in found.warnings) == 2
+    assert sum("has no quality raster" in warning for warning in found.warnings) == 1  # of one product, once
 
 
 @pytest.mark.parametrize(
@@ -239,13 +240,13 @@ def test_the_product_of_a_path_is_found_once_a_job(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     searched: list[str] = []
-    search = products._search
+    search = finding._search
 
-    def count(path: products.PathLike) -> Product | None:
+    def count(path: finding.PathLike) -> Product | None:
         searched.append(str(path))
         return search(path)
 
-    monkeypatch.setattr(products, "_search", count)
+    monkeypatch.setattr(finding, "_search", count)
     reference, target = write_landsat(tmp_path / "ref"), write_landsat(tmp_path / "tgt", shift_m=SHIFT_M)
     bands = ["--ref-band", "B4", "--tgt-band", "B10", "--jobs", "1"]
     bands += ["--template", "61", "--window", "41", "--features", "60"]

@@ -14,7 +14,7 @@ from pcwlad_geo.cli.app import run as run_app
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc.model import read_rpc
-from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from tests.rpc_scene import (
     SHAPE,
     UNDULATION_M,

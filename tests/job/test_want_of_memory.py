@@ -38,20 +38,6 @@ def test_while_the_files_are_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_in_a_figure_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    from matplotlib.figure import Figure
-    from PIL import Image
-
-    from pcwlad_geo.report.figures import to_png
-
-    def lacking(*arguments: object, **keywords: object) -> None:
-        raise ValueError("quantization error")
-
-    monkeypatch.setattr(Image.Image, "quantize", lacking)
-    with pytest.raises(MemoryError):
-        to_png(Figure(figsize=(1, 1)))
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of address space are those of Linux")
 @pytest.mark.parametrize(("gibibytes", "status"), [(0.5, 2), (1.99, 2), (2.0, 0)])
 def test_too_little_address_space_is_told_at_once(tmp_path: Path, gibibytes: float, status: int) -> None:

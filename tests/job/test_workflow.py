@@ -324,7 +324,7 @@ def test_the_page_of_outputs_is_the_table_of_outputs() -> None:
     rows = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in table.splitlines()]
     assert rows == [
         (f"`{output.name.format(**WRITTEN_OUT)}`", output.when.words, output.description)
-        for output in writing.OUTPUTS
+        for output in writing.outputs()
     ]
 
 
@@ -332,7 +332,7 @@ def test_the_readme_names_files_of_the_table() -> None:
     text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?) \|", text.split("## What you get")[1].split("## ")[0], re.MULTILINE)
     named = [name for row in rows for name in re.findall(r"`([^`]+)`", row)]
-    known = [output.name.format(**WRITTEN_OUT) for output in writing.OUTPUTS]
+    known = [output.name.format(**WRITTEN_OUT) for output in writing.outputs()]
     assert len(named) >= 9
     assert [name for name in named if not any(each.endswith(name) for each in known)] == []
 
@@ -349,13 +349,13 @@ def test_a_job_returns_what_the_table_says_that_it_writes(
         found = error.registration
         folder = error.out_dir
     else:
-        assert list(found.outputs) == [output.kind for output in writing.OUTPUTS if output.is_of(found)]
+        assert list(found.outputs) == [output.kind for output in writing.outputs() if output.is_of(found)]
         assert all(path.is_file() for path in found.outputs.values())
         folder = found.outputs["numbers"].parent
     stem = pair[1].stem
     expected = {
         output.name.format(name=pair[1].name, stem=stem, ending="tif")
-        for output in writing.OUTPUTS
+        for output in writing.outputs()
         if output.is_of(found)
     }
     assert names(folder) == expected

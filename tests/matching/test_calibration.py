@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.guidance import DEFAULT_SCALE, MIN_SIGMA_PX, SCALE_RANGE, calibrated, sigma_scale
+from pcwlad_geo.matching.calibration import CALIBRATION, calibrated, sigma_scale
 
 
 def formal(n: int, seed: int = 0) -> np.ndarray:
@@ -34,13 +34,13 @@ def test_too_few_residuals_say_nothing() -> None:
     covariance = formal(40)
     residual = drawn(covariance)
     residual[:20] = np.nan
-    assert sigma_scale(residual, covariance) == DEFAULT_SCALE
+    assert sigma_scale(residual, covariance) == CALIBRATION.default_scale
 
 
 def test_the_factor_stays_within_reason() -> None:
     covariance = formal(200)
-    assert sigma_scale(0.01 * drawn(covariance), covariance) == SCALE_RANGE[0]
-    assert sigma_scale(500 * drawn(covariance), covariance) == SCALE_RANGE[1]
+    assert sigma_scale(0.01 * drawn(covariance), covariance) == CALIBRATION.scale_range[0]
+    assert sigma_scale(500 * drawn(covariance), covariance) == CALIBRATION.scale_range[1]
 
 
 def test_calibrated_intervals_hold() -> None:
@@ -54,5 +54,5 @@ def test_calibrated_intervals_hold() -> None:
 def test_no_sigma_is_below_the_floor_and_correlations_stay() -> None:
     covariance = np.array([[[0.04, 0.02], [0.02, 0.09]], [[0.0, 0.0], [0.0, 0.0]]])
     found = calibrated(covariance, 2.0)
-    np.testing.assert_allclose(found[0], 4 * covariance[0] + MIN_SIGMA_PX**2 * np.eye(2))
-    np.testing.assert_allclose(found[1], MIN_SIGMA_PX**2 * np.eye(2))
+    np.testing.assert_allclose(found[0], 4 * covariance[0] + CALIBRATION.least_sigma_px**2 * np.eye(2))
+    np.testing.assert_allclose(found[1], CALIBRATION.least_sigma_px**2 * np.eye(2))

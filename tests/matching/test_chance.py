@@ -4,7 +4,7 @@ from math import comb, log10
 
 import pytest
 
-from pcwlad_geo.matching.shift_search import evidence_against_chance
+from pcwlad_geo.matching.chance import evidence_against_chance
 
 
 @pytest.mark.parametrize(("agreeing", "places", "chance"), [(1, 5, 0.1), (7, 20, 0.02), (30, 40, 0.3)])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.prepare import fill_smoothly
+from pcwlad_geo.matching.gaps import fill_smoothly
 
 
 def wavy(rows: int = 200, cols: int = 231) -> np.ndarray:

@@ -3,8 +3,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pcwlad_geo.matching import maps as gradient
-from pcwlad_geo.matching.maps import oriented_gradients, scene_epsilon
+from pcwlad_geo.matching.maps import GRADIENTS, oriented_gradients, scene_epsilon
 from tests.matching.landscape import Landscape
 
 SIDE = 120
@@ -23,16 +22,16 @@ def image() -> NDArray:
 def test_the_maps_are_those_of_the_formula(image: NDArray) -> None:
     low, high = np.percentile(image, (0.05, 99.95))
     dx, dy = (ndimage.sobel(image / (high - low), axis, mode="mirror") for axis in (1, 0))
-    square = ndimage.gaussian_filter((dx**2 + dy**2) / 2, gradient.NEIGHBOURHOOD_PX, mode="mirror")
-    local = np.sqrt(square) + gradient.MIN_STRENGTH
+    square = ndimage.gaussian_filter((dx**2 + dy**2) / 2, GRADIENTS.neighbourhood_px, mode="mirror")
+    local = np.sqrt(square) + GRADIENTS.least_strength
     maps, strength = maps_of(image)
     for orientation, found in enumerate(maps):
         theta = orientation * np.pi / 6
         rectified = np.abs(dx * np.cos(theta) - dy * np.sin(theta)) / local
         expected = ndimage.gaussian_filter(rectified, SMOOTH_PX, mode="mirror")
-        np.testing.assert_allclose(found, gradient.CHANNEL_SCALE * expected, atol=1e-3)
+        np.testing.assert_allclose(found, GRADIENTS.scale * expected, atol=1e-3)
     expected = ndimage.gaussian_filter(np.hypot(dx, dy) / local, SMOOTH_PX, mode="mirror") / np.sqrt(2)
-    np.testing.assert_allclose(strength, gradient.STRENGTH_SCALE * expected, atol=1e-3)
+    np.testing.assert_allclose(strength, GRADIENTS.strength_scale * expected, atol=1e-3)
 
 
 @pytest.mark.parametrize(

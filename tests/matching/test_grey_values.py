@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pcwlad_geo.matching.maps import GREY_REACH_PX, GREY_SCALE, Ranks, Tones, local_deviation
+from pcwlad_geo.matching.grey_values import GREY, Ranks, Tones, local_deviation
 from tests.matching.landscape import Landscape
 
 SIDE = 160
@@ -25,7 +25,7 @@ def image() -> NDArray:
 
 
 def measured(reference: NDArray, target: NDArray, valid: NDArray = ALL) -> tuple[Tones, Tones]:
-    found = Tones.of_pair((reference, target), valid, GREY_REACH_PX)
+    found = Tones.of_pair((reference, target), valid, GREY.reach_px)
     assert found is not None
     return found
 
@@ -45,7 +45,7 @@ def test_ranks_are_those_of_the_sorted_values() -> None:
     ids=["negative", "folded", "gain", "wave"],
 )
 def test_channels_correlate_whatever_the_relation_is(image: NDArray, change: Change) -> None:
-    local = local_deviation(image, ALL, GREY_REACH_PX) + 115
+    local = local_deviation(image, ALL, GREY.reach_px) + 115
     noise = np.random.default_rng(2).normal(0, 3, (SIDE, SIDE))
     tones = measured(image, change(local + noise))
     one, other = (
@@ -56,7 +56,7 @@ def test_channels_correlate_whatever_the_relation_is(image: NDArray, change: Cha
     assert correlation[0, 0] > 0.7
     assert abs(correlation[0, 1]) < 0.35 < correlation[0, 0]
     # both are as strong as what they share
-    assert one[0].std() == pytest.approx(GREY_SCALE * np.sqrt(correlation[0, 0]), rel=0.15)
+    assert one[0].std() == pytest.approx(GREY.scale * np.sqrt(correlation[0, 0]), rel=0.15)
 
 
 def test_other_images_have_weak_channels(image: NDArray) -> None:
@@ -83,4 +83,4 @@ def test_too_few_pixels_tell_nothing() -> None:
     few = np.zeros((SIDE, SIDE), bool)
     few[:60, :60] = True
     landscape = Landscape(3).image(SIDE)
-    assert Tones.of_pair((landscape, landscape), few, GREY_REACH_PX) is None
+    assert Tones.of_pair((landscape, landscape), few, GREY.reach_px) is None

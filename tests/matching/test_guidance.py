@@ -5,17 +5,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.guidance import (
-    MIN_TO_CHOOSE,
-    MIN_WINDOW_SAMPLE,
-    Scales,
-    calibrate,
-    expect_lost,
-    guide_by_field,
-    window_errors,
-)
-from pcwlad_geo.matching.matcher import choose_scales, matched_again
+from pcwlad_geo.matching.calibration import calibrate
+from pcwlad_geo.matching.guidance import guide_by_field
+from pcwlad_geo.matching.lost_candidates import expect_lost
+from pcwlad_geo.matching.second_pass import matched_again
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.windows import WINDOWS, Scales, choose_scales, window_errors
 
 SIDE = 1000.0
 SETTINGS = MatchSettings()
@@ -192,11 +187,11 @@ def test_windows_tell_nothing_where_too_few_points_do() -> None:
     known = window_errors(moved, WINDOWS_PX)
     assert known is not None
     assert known.points == 160
-    few = window_errors(moved[:, : MIN_TO_CHOOSE - 1], WINDOWS_PX)
+    few = window_errors(moved[:, : WINDOWS.least_to_choose - 1], WINDOWS_PX)
     assert few is not None
     assert few.best(WINDOWS_PX, 81) == Scales.of(81)
     assert window_errors(moved[:2], WINDOWS_PX[:2]) is None
-    moved[2, MIN_WINDOW_SAMPLE - 1 :] = np.nan  # failed
+    moved[2, WINDOWS.least_sample - 1 :] = np.nan  # failed
     assert window_errors(moved, WINDOWS_PX) is None
 
 

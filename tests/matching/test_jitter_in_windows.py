@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.error_statistics import LEAST_COMMON_PX
-from pcwlad_geo.matching.guidance import jitter_px
+from pcwlad_geo.matching.jitter import jitter_px
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.run import run
 from tests.scenes import make_grid, render, write

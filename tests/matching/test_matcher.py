@@ -10,12 +10,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching import guidance, matcher
-from pcwlad_geo.matching.guidance import FieldGuide, Lost, Scales, guide_by_field
+from pcwlad_geo.matching import both_directions, first_pass, guidance, lost_candidates, second_pass
+from pcwlad_geo.matching.first_pass import Core, match_candidates
+from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
+from pcwlad_geo.matching.lost_candidates import Lost, try_again
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.matcher import Core, match_arrays, match_candidates, to_index
+from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.types import MatchSettings, TiePoints, to_index
+from pcwlad_geo.matching.windows import Scales
 from tests.matching.landscape import Landscape, constant
 
 SIDE = 230
@@ -177,13 +180,14 @@ def test_all_points_go_back_where_a_sample_does_not_come_back_to_where_it_began(
 def ways(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Return the list to which every refinement adds which points it matches backward."""
     noted: list[str] = []
-    refine_both = matcher._refine_both
+    refine_both = both_directions.refine_both
 
     def note(*arguments: Any) -> Any:
         noted.append(arguments[4])
         return refine_both(*arguments)
 
-    monkeypatch.setattr(matcher, "_refine_both", note)
+    for module in (first_pass, second_pass):
+        monkeypatch.setattr(module, "refine_both", note)
     return noted
 
 
@@ -199,7 +203,7 @@ def test_the_second_pass_goes_back_where_the_first_one_did_not_come_back(ways: l
 def test_many_points_with_a_given_structure_are_matched_one_way(
     ways: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guidance, "LED_ONE_WAY_FROM", 40)
+    monkeypatch.setattr(guidance, "GUIDANCE", replace(guidance.GUIDANCE, one_way_from=40))
     forward = match_arrays(image(0), image(1, SHIFT_XY), settings=SMALL)
     # no structure is given, and so both ways: "always"
     assert set(ways) == {"as needed", "always", "forward only"}
@@ -221,7 +225,7 @@ def channels() -> ChannelPair:
     return prepare(first, second, channels="orientations").channels
 
 
-def lost_candidates(predicted_xy: tuple[float, float]) -> Lost:
+def lost_lattice(predicted_xy: tuple[float, float]) -> Lost:
     """A lattice of places without regard to corners, most of them poor for a window of 61 px."""
     place = np.stack(np.meshgrid(np.arange(150, 280, 16), np.arange(150, 280, 16)), -1).reshape(-1, 2) + 0.5
     n = len(place)
@@ -231,21 +235,60 @@ def lost_candidates(predicted_xy: tuple[float, float]) -> Lost:
 
 def test_lost_candidates_are_found_where_they_are_expected_and_nowhere_else() -> None:
     near = SHIFT_XY[0] + 0.2, SHIFT_XY[1] - 0.1
-    found, index = matcher.try_again(channels(), lost_candidates(near), LARGER, Scales.of(61))
+    found, index = try_again(channels(), lost_lattice(near), LARGER, Scales.of(61))
     assert len(found) == len(index) > 40
-    np.testing.assert_array_equal(found.reference_xy_px, lost_candidates(near).reference_xy_px[index])
+    np.testing.assert_array_equal(found.reference_xy_px, lost_lattice(near).reference_xy_px[index])
     assert np.sqrt((errors(found) ** 2).sum(axis=1).mean()) < 0.25
     assert np.isfinite(found.forward_backward_px).all()
     beside = SHIFT_XY[0] + 5, SHIFT_XY[1] - 4
-    assert len(matcher.try_again(channels(), lost_candidates(beside), LARGER, Scales.of(61))[0]) <= 1
+    assert len(try_again(channels(), lost_lattice(beside), LARGER, Scales.of(61))[0]) <= 1
+
+
+def test_the_first_pass_takes_all_pixels_also_where_the_second_chooses_the_window() -> None:
+    size = replace(SMALL, template=81, window=81)
+    given, chosen = (
+        match_candidates(
+            prepare(
+                *(Image(each, np.ones((SIDE, SIDE), bool), scene_epsilon(each)) for each in pair_of_bands()),
+                channels="orientations",
+            ),
+            Core(60, 60, SIDE - 60, SIDE - 60, (0, 0)),
+            each,
+        )[0]
+        for each in (size, replace(size, open_window=True))
+    )
+    assert len(given) > 10
+    assert_same_points(given, chosen, atol=1e-9)
+
+
+def pair_of_bands() -> tuple[NDArray, NDArray]:
+    return image(0), image(1, SHIFT_XY)
+
+
+def test_lost_candidates_with_nothing_in_common_where_expected_are_not_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measured: list[int] = []
+    refine_both = both_directions.refine_both
+
+    def counting(pair: ChannelPair, corners: NDArray, *others: Any) -> Any:
+        measured.append(len(corners))
+        return refine_both(pair, corners, *others)
+
+    monkeypatch.setattr(lost_candidates, "refine_both", counting)
+    beside = SHIFT_XY[0] + 25, SHIFT_XY[1] - 24
+    every = lost_lattice(beside)
+    found, _ = try_again(channels(), every, LARGER, Scales.of(61))
+    assert len(found) == 0
+    assert measured[0] < 0.4 * len(every.limit_px)
 
 
 def test_every_second_pixel_gives_nearly_the_same_match(monkeypatch: pytest.MonkeyPatch) -> None:
     points = cross_modal_points().shifted(np.full(2, MARGIN_PX), np.full(2, MARGIN_PX))
     guide = guide_by_field(points, LARGER)
-    coarse = matcher.displacement_by_windows(channels(), points, guide, LARGER, [121])[0]
-    monkeypatch.setattr(matcher, "SPARSE_FROM_PX", 999)
-    fine = matcher.displacement_by_windows(channels(), points, guide, LARGER, [121])[0]
+    coarse = second_pass.displacement_by_windows(channels(), points, guide, LARGER, [121])[0]
+    monkeypatch.setattr(second_pass, "WINDOWS", replace(second_pass.WINDOWS, sparse_from_px=999))
+    fine = second_pass.displacement_by_windows(channels(), points, guide, LARGER, [121])[0]
     both = np.isfinite(fine).all(axis=1) & np.isfinite(coarse).all(axis=1)
     assert both.sum() > 0.7 * len(points)
     assert np.linalg.norm(coarse - fine, axis=1)[both].max() < 0.15
@@ -255,11 +298,11 @@ def test_every_second_pixel_gives_nearly_the_same_match(monkeypatch: pytest.Monk
 def test_two_windows_are_combined_by_their_weights() -> None:
     points = cross_modal_points().shifted(np.full(2, MARGIN_PX), np.full(2, MARGIN_PX))
     guide = guide_by_field(points, LARGER)
-    seen = matcher.displacement_by_windows(channels(), points, guide, LARGER, [61, 121])
+    seen = second_pass.displacement_by_windows(channels(), points, guide, LARGER, [61, 121])
     both = np.isfinite(seen).all(axis=(0, 2))
     assert both.sum() > 0.7 * len(points)
     scales = Scales((61, 121), (1.5, -0.5))
-    again = matcher.rematch_with(channels(), points, guide, LARGER, scales)
+    again = second_pass.rematch_with(channels(), points, guide, LARGER, scales)
     wanted = 1.5 * seen[0] - 0.5 * seen[1]
     np.testing.assert_allclose(again.displacement_px[both], wanted[both], atol=1e-9)
     failed = ~np.isfinite(seen[1]).all(axis=1) & np.isfinite(seen[0]).all(axis=1)

@@ -1,15 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from pcwlad_geo.matching.mutual_structure import (
-    EPSILON_REFERENCE,
-    EPSILON_TARGET,
-    LAMBDA_REFERENCE,
-    LAMBDA_TARGET,
-    RADIUS_PX,
-    mutual_structure,
-)
+from pcwlad_geo.matching.mutual_structure import mutual_structure
+from pcwlad_geo.matching.paper import PAPER, PaperParameters
 
 SIDE = 81
 SHARED, INVERTED, REFERENCE_ONLY, TARGET_ONLY, FLAT = (20, 20), (20, 60), (60, 20), (60, 60), (40, 40)
@@ -35,25 +31,32 @@ def on_edge(weight: np.ndarray, centre: tuple[int, int]) -> float:
 
 def energy(g: np.ndarray, i: np.ndarray, g0: np.ndarray, i0: np.ndarray) -> float:
     """The functional itself, each local line fitted by brute force over its cut-off neighbourhood."""
-    total = LAMBDA_TARGET * ((i - i0) ** 2).sum() + LAMBDA_REFERENCE * ((g - g0) ** 2).sum()
+    total = PAPER.lambda_target * ((i - i0) ** 2).sum() + PAPER.lambda_reference * ((g - g0) ** 2).sum()
     for r in range(g.shape[0]):
         for c in range(g.shape[1]):
-            near = np.s_[max(r - RADIUS_PX, 0) : r + RADIUS_PX + 1, max(c - RADIUS_PX, 0) : c + RADIUS_PX + 1]
+            near = np.s_[
+                max(r - PAPER.filter_radius_px, 0) : r + PAPER.filter_radius_px + 1,
+                max(c - PAPER.filter_radius_px, 0) : c + PAPER.filter_radius_px + 1,
+            ]
             local_g, local_i = g[near].ravel(), i[near].ravel()
             covariance = np.cov(local_g, local_i, bias=True)
-            a1 = covariance[0, 1] / (covariance[1, 1] + EPSILON_TARGET)
-            b1 = covariance[0, 1] / (covariance[0, 0] + EPSILON_REFERENCE)
+            a1 = covariance[0, 1] / (covariance[1, 1] + PAPER.epsilon_target)
+            b1 = covariance[0, 1] / (covariance[0, 0] + PAPER.epsilon_reference)
             a0, b0 = local_g.mean() - a1 * local_i.mean(), local_i.mean() - b1 * local_g.mean()
             total += ((a1 * local_i + a0 - local_g) ** 2 + (b1 * local_g + b0 - local_i) ** 2).sum()
-            total += local_g.size * (EPSILON_TARGET * a1**2 + EPSILON_REFERENCE * b1**2)
+            total += local_g.size * (PAPER.epsilon_target * a1**2 + PAPER.epsilon_reference * b1**2)
     return float(total)
+
+
+def steps(number: int) -> PaperParameters:
+    return replace(PAPER, filter_iterations=number)
 
 
 def test_the_energy_falls_monotonically() -> None:
     g0, i0 = (window[8:40, 8:40] for window in windows(0.05))
     energies = []
     for iterations in range(8):
-        g, i, _ = mutual_structure(g0, i0, iterations=iterations)
+        g, i, _ = mutual_structure(g0, i0, steps(iterations))
         energies.append(energy(g, i, g0, i0))
     assert (np.diff(energies) < 0).all()
     assert energies[-1] < 0.8 * energies[0]
@@ -72,7 +75,7 @@ def test_shared_structure_weighs_much_single_structure_little(noise: float) -> N
 
 
 def test_filtering_makes_shared_edges_stand_out_of_noise() -> None:
-    before = mutual_structure(*windows(0.06), iterations=0)[2]
+    before = mutual_structure(*windows(0.06), steps(0))[2]
     after = mutual_structure(*windows(0.06))[2]
     assert on_edge(after, SHARED) > on_edge(before, SHARED) + 0.08
 
@@ -97,16 +100,16 @@ def test_inverting_the_target_inverts_the_result_and_keeps_the_weight() -> None:
 
 def test_a_stack_gives_what_each_window_gives() -> None:
     pairs = [windows(0.02, seed) for seed in range(3)]
-    stacked = mutual_structure(np.stack([a for a, _ in pairs]), np.stack([b for _, b in pairs]), iterations=3)
+    stacked = mutual_structure(np.stack([a for a, _ in pairs]), np.stack([b for _, b in pairs]), steps(3))
     for k, pair in enumerate(pairs):
-        for whole, single in zip(stacked, mutual_structure(*pair, iterations=3), strict=True):
+        for whole, single in zip(stacked, mutual_structure(*pair, steps(3)), strict=True):
             np.testing.assert_array_equal(whole[k], single)
 
 
 def test_the_input_is_left_alone() -> None:
     reference, target = windows(0.02)
     kept = reference.copy(), target.copy()
-    mutual_structure(reference, target, iterations=2)
+    mutual_structure(reference, target, steps(2))
     np.testing.assert_array_equal(reference, kept[0])
     np.testing.assert_array_equal(target, kept[1])
 

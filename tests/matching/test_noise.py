@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from pcwlad_geo.matching.prepare import MAX_SMOOTHING_PX, MIN_SMOOTHING_PX, Noise, measure_noise, smoothing_px
+from pcwlad_geo.matching.noise import NOISE, Noise, measure_noise, smoothing_px
 
 SHAPE = (300, 280)
 EVERYWHERE = np.ones(SHAPE, bool)
@@ -18,14 +18,14 @@ def test_white_noise_has_a_ratio_of_two_and_its_sigma() -> None:
     noise = measure_noise(np.random.default_rng(0).normal(100, 7.0, SHAPE), EVERYWHERE)
     assert noise.ratio == pytest.approx(2.0, abs=0.05)
     assert noise.sigma == pytest.approx(7.0, rel=0.05)
-    assert smoothing_px(noise) == pytest.approx(MAX_SMOOTHING_PX, abs=0.03)
+    assert smoothing_px(noise) == pytest.approx(NOISE.most_smoothing_px, abs=0.03)
 
 
 def test_a_clean_scene_has_none() -> None:
     noise = measure_noise(scene(), EVERYWHERE)
     assert noise.ratio < 0.8
     assert noise.sigma == 0.0
-    assert smoothing_px(noise) == MIN_SMOOTHING_PX
+    assert smoothing_px(noise) == NOISE.least_smoothing_px
 
 
 def test_noise_on_a_scene_grows_with_it() -> None:
@@ -53,4 +53,4 @@ def test_invalid_pixels_do_not_count() -> None:
 
 def test_the_noisier_image_decides() -> None:
     quiet, loud = Noise(0.5, 0.0), Noise(1.4, 3.0)
-    assert smoothing_px(quiet, loud) == smoothing_px(loud) > smoothing_px(quiet) == MIN_SMOOTHING_PX
+    assert smoothing_px(quiet, loud) == smoothing_px(loud) > smoothing_px(quiet) == NOISE.least_smoothing_px

@@ -3,14 +3,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.estimation.robust import axis_sigma
-from pcwlad_geo.matching.outliers import (
-    MAX_CLUSTERED,
-    NEIGHBOURS,
-    SCATTERS,
-    confirmed,
-    consistent,
-    contradicted_clusters,
-)
+from pcwlad_geo.matching.clusters import CLUSTERS, contradicted_clusters
+from pcwlad_geo.matching.outliers import OUTLIERS, confirmed, consistent
 
 SIDE, WINDOW, SIGMA = 800.0, 81, 0.05
 
@@ -116,10 +110,10 @@ def test_the_narrow_limit_is_so_many_of_them() -> None:
     xy = rng.uniform(0, 2000, (4000, 2))
     moved = rng.normal(0, 0.08, (4000, 2))
     tested = rng.choice(4000, 60, replace=False)
-    about_px = 0.08 * np.sqrt(1 + np.pi / 2 / NEIGHBOURS)  # the median of the neighbours errs too
+    about_px = 0.08 * np.sqrt(1 + np.pi / 2 / OUTLIERS.neighbours)  # the median of the neighbours errs too
     for factor, stays in ((0.8, True), (1.25, False)):
         shifted = moved.copy()
-        shifted[tested] = [factor * SCATTERS * about_px, 0.0]
+        shifted[tested] = [factor * OUTLIERS.scatters * about_px, 0.0]
         kept = consistent(xy, shifted, np.full(4000, 0.05), 41)
         assert kept[tested].all() if stays else not kept[tested].any()
 
@@ -229,7 +223,7 @@ def test_an_island_contradicts_nobody(strait_px: float, kept: bool) -> None:
 def test_a_part_that_is_no_minority_is_kept() -> None:
     """A block beyond a fault: more than a fifth of the scene is not outvoted."""
     xy, noise = scene(500)
-    for share in (MAX_CLUSTERED + 0.05, 0.5):
+    for share in (CLUSTERS.most_share + 0.05, 0.5):
         block = xy[:, 0] < share * SIDE
         assert contradicted_clusters(xy, np.where(block[:, None], 9.0, 0.0) + noise, WINDOW) == []
 

@@ -9,12 +9,8 @@ from numpy.typing import NDArray
 from phasepack import phasecong
 
 from pcwlad_geo.matching.kernels.library import fast_even
-from pcwlad_geo.matching.maps import (
-    EPSILON_OF_BYTE_RANGE,
-    maximum_moment,
-    oriented_phase_congruency,
-    scene_epsilon,
-)
+from pcwlad_geo.matching.maps import maximum_moment, oriented_phase_congruency, scene_epsilon
+from pcwlad_geo.matching.paper import PAPER
 from tests.matching.landscape import Landscape
 from tests.oracles.phase_congruency import (
     maximum_moment_plain,
@@ -42,7 +38,7 @@ def image() -> NDArray:
 @pytest.mark.parametrize("crop", [np.s_[:, :], np.s_[:, :131], np.s_[:97, :]])
 def test_the_map_is_that_of_phasepack(image: NDArray, crop: tuple[slice, slice]) -> None:
     expected = phasecong(image[crop], 4, 6, 3, 1.6, 0.75, k=1, cutOff=0.5, g=3, noiseMethod=0)[0]
-    found = moment(image[crop], EPSILON_OF_BYTE_RANGE)
+    found = moment(image[crop], PAPER.byte_epsilon)
     assert correlation(found, expected) >= 0.99999
     np.testing.assert_allclose(found, expected, atol=2e-3)
 

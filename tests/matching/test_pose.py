@@ -11,7 +11,7 @@ import pytest
 
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching import pose
-from pcwlad_geo.matching.maps import GREY_BLUR_PX
+from pcwlad_geo.matching.grey_values import GREY
 from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, poses_by_grey_values, search_pose
 from tests.matching.test_global_search import cover, modality
 
@@ -155,7 +155,7 @@ def test_the_dependence_is_that_of_the_plain_equations() -> None:
     found = pose._GreyValues(first, second, 96).dependence(np.eye(3))
 
     def ranks(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
-        smooth = cv2.GaussianBlur(np.where(usable, values, 0), (0, 0), GREY_BLUR_PX)
+        smooth = cv2.GaussianBlur(np.where(usable, values, 0), (0, 0), GREY.blur_px)
         weight = cv2.GaussianBlur(usable.astype(np.float32), (0, 0), 50 * pose.GREY_REACH)
         mean = cv2.GaussianBlur(np.where(usable, smooth, 0), (0, 0), 50 * pose.GREY_REACH)
         local = (smooth - mean / weight)[usable]
@@ -334,3 +334,32 @@ def test_the_correlation_in_place_adds_to_what_a_pose_says() -> None:
     right, wrong = (PoseProposal(each, 1.0, 1.0) for each in (matrix, elsewhere))
     assert pose._Frame(*images, right).confirmed(right).evidence > 3.0
     assert pose._Frame(*images, wrong).confirmed(wrong).evidence == 1.0
+
+
+def test_planes_that_are_warped_together_are_those_warped_alone() -> None:
+    image = pose._PoseImage(REFERENCE.astype(np.float32), np.ones(REFERENCE.shape, bool))
+    for per_cell in ((3.0,), (4.2, 8.4)):
+        layers = image.averaged(40, per_cell)
+        assert image.averaged(40, per_cell) is layers
+        for packed, _ in layers:
+            for several in packed:
+                turn = cv2.getRotationMatrix2D((50, 40), 25, 0.4)
+                together = pose._warped(several, turn, (60, 70))
+                for number in range(several.shape[2]):
+                    plane = np.ascontiguousarray(several[..., number])
+                    np.testing.assert_array_equal(together[..., number], pose._warped(plane, turn, (60, 70)))
+
+
+def test_few_averages_are_remembered() -> None:
+    image = pose._PoseImage(REFERENCE.astype(np.float32), np.ones(REFERENCE.shape, bool))
+    kept = image.averaged(40, (3.0,))
+    for side_cells in range(20, 20 + pose.REMEMBERED):
+        image.averaged(side_cells, (3.0,))
+        assert image.averaged(40, (3.0,)) is kept
+    assert len(image._averaged) == pose.REMEMBERED
+
+
+def test_a_step_is_undone() -> None:
+    change = np.array([[0.1, -0.2, 0.7], [0.05, 0.3, -1.1]])
+    forth = np.eye(3) + np.vstack([change, np.zeros(3)])
+    np.testing.assert_allclose(forth @ pose._undone(change), np.eye(3), atol=1e-15)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, uniform_filter
 
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.prepare import MAX_SMOOTHING_PX, measure_noise, smoothing_px
+from pcwlad_geo.matching.noise import NOISE, measure_noise, smoothing_px
 from pcwlad_geo.matching.speckle import find_speckle, has_empty_border
 from pcwlad_geo.matching.types import MatchSettings
 
@@ -88,7 +88,7 @@ def test_speckle_is_averaged_and_maps_are_smoothed_where_pixels_are_independent(
     together = measure_noise(uniform_filter(speckled(fields(1), 1), (1, 2)), EVERYWHERE)
     assert noise.speckle is not None
     assert noise.speckle.scale == "averaged"
-    assert smoothing_px(noise) == pytest.approx(MAX_SMOOTHING_PX, abs=0.1)
+    assert smoothing_px(noise) == pytest.approx(NOISE.most_smoothing_px, abs=0.1)
     assert together.speckle is not None
     assert together.speckle.scale == "root"
 

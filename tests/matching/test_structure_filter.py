@@ -3,13 +3,9 @@ from functools import cache
 import numpy as np
 
 from pcwlad_geo.matching.keypoints import FULL_SCALE
+from pcwlad_geo.matching.local_correlation import significantly_correlated
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.mutual_structure import (
-    mutual_structure,
-    passes_paper,
-    shared_structure,
-    significantly_correlated,
-)
+from pcwlad_geo.matching.mutual_structure import mutual_structure, passes_paper, shared_structure
 from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined
 from tests.matching.landscape import Landscape, constant

@@ -264,6 +264,20 @@ def test_pairs_of_one_cause_do_not_outvote_those_of_more_evidence(seed: int) -> 
     assert np.abs(errors(alike, truth, 0)[6]).max() > 10.0
 
 
+def test_an_image_that_hangs_on_one_whose_pairs_are_replaced_goes_with_it() -> None:
+    rng = np.random.default_rng(1)
+    truth = make(rng, 8, slopes=0.1)
+    edges = []
+    for one, other in combinations(range(7), 2):
+        wrong = other == 6 and one >= 2
+        edge = truth.edge(rng, one, other, shared=0.05, sigma=0.1, off=np.array([4.9, -11.4]) * wrong)
+        edges.append(replace(edge, evidence=1.5 if wrong else 15.0))
+    edges.append(replace(truth.edge(rng, 6, 7, shared=0.05, sigma=0.1), evidence=1.0))
+    adjustment = adjust(edges, 8)
+    assert np.abs(errors(adjustment, truth, 0)).max() < 0.3
+    assert adjustment.edges[-1].used
+
+
 def test_what_is_known_of_a_product_settles_pairs_that_contradict_each_other() -> None:
     rng = np.random.default_rng(4)
     truth = Truth(np.zeros((3, 3, 2)))

@@ -12,7 +12,7 @@ from rasterio.enums import ColorInterp
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.multi.bands import expand, find_band, list_bands, parse_bands, split_bands, with_native_px
-from pcwlad_geo.products import native_px_m
+from pcwlad_geo.products.finding import native_px_m
 from tests.scenes import make_grid, write
 
 
@@ -108,7 +108,7 @@ def test_what_is_no_stack_is_told(tmp_path: Path) -> None:
         list_bands([one, tmp_path / "empty"])
 
 
-@pytest.mark.parametrize("text", ["", "?", "0", "2-", "-2", "3-1", "1,,2", "1-99999"])
+@pytest.mark.parametrize("text", ["", "?", "0", "2-", "-2", "3-1", "1,,2", "1-99999", "9" * 5000])
 def test_bands_that_cannot_be_read(text: str) -> None:
     with pytest.raises(SettingsError, match="bands = "):
         parse_bands(text)

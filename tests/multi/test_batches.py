@@ -18,7 +18,7 @@ import pytest
 from rasterio.errors import RasterioIOError
 
 import pcwlad_geo
-from pcwlad_geo.errors import CancelledError, InputError, OutputError, SettingsError
+from pcwlad_geo.errors import CancelledError, ExecutionError, InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.multi import batches
@@ -125,6 +125,23 @@ def test_a_batch_and_once_more(work: Path) -> None:
         assert {**new, "done_before": "no"} == old
 
 
+def test_a_pair_whose_process_dies_is_reported_and_the_others_are_done(
+    work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lose_the_first(workers: Any, function: Any, calls: Any, *_: Any) -> list[Any]:
+        return [ExecutionError("a worker process was lost: killed"), *(function(*call) for call in calls[1:])]
+
+    monkeypatch.setattr("pcwlad_geo.execution.workers.LocalWorkers.run_jobs", lose_the_first)
+    names = "absent", "good", "good"  # the first is alone
+    lines = [f"b4.tif,{name}.tif,{number},512\n" for number, name in enumerate(names)]
+    (work / "pairs.csv").write_text(
+        "".join(["reference,target,out_dir,tile_size\n", *lines]), encoding="utf-8"
+    )
+    result = pcwlad_geo.batch("pairs.csv", out_dir="all", **{**OPTIONS, "jobs": 2})
+    assert [each.status for each in result.pairs] == ["unusable", "unusable", "registered"]
+    assert result.pairs[1].reason == "a worker process was lost: killed"
+
+
 @pytest.mark.slow
 def test_workers_that_do_whole_pairs_write_the_same(work: Path) -> None:
     """Pairs of one tile run at once, each in a worker; one of several tiles between them runs alone."""
@@ -222,6 +239,15 @@ def test_every_kind_of_trouble_stays_with_its_pair(calls: list[str], work: Path)
     assert result.pairs[1].error is TROUBLE["strange"]
     assert result.count("failed") == 1
     assert Warned("good.tif (line 4): odd") in events
+
+
+def test_a_warning_has_the_name_of_its_pair_once(calls: list[str], work: Path) -> None:
+    events: list[Event] = []
+    pairs = batches.read_pairs(table(work, "bad", "strange"), work / "out", {})
+    batches._do_part(pairs, False, batches._PairEvents(events.append), InThisProcess())
+    assert calls == ["bad", "strange"]
+    told = [event.message for event in events if isinstance(event, Warned)]
+    assert told == ["bad.tif (line 2): odd", "strange.tif (line 3): odd"]
 
 
 def test_a_name_that_no_file_can_have_stays_with_its_pair(work: Path) -> None:
@@ -359,6 +385,11 @@ def test_where_it_runs_does_not_matter(done: Path, monkeypatch: pytest.MonkeyPat
         result = pcwlad_geo.batch(
             done / "pairs.csv", out_dir=done / "out", executor=executor, **{**OPTIONS, "jobs": 7}
         )
+    assert statuses(result) == [("registered", True)]
+
+
+def test_a_pair_with_a_page_is_not_done_again_for_want_of_none(done: Path) -> None:
+    result = pcwlad_geo.batch("pairs.csv", out_dir="out", no_report=True, **OPTIONS)
     assert statuses(result) == [("registered", True)]
 
 

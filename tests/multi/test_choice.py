@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.models import PolynomialBasis
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.multi.adjustment import adjust, choose_basis, critical, extend
+from pcwlad_geo.multi.adjustment import adjust, critical, extend
+from pcwlad_geo.multi.model_choice import choose_basis
 from pcwlad_geo.multi.network import Edge, SplineBasis, basis_over, linked, penalty_of, terms_of
-from pcwlad_geo.multi.stack_pairs import Candidate, asked_by_sigma
+from pcwlad_geo.multi.pair_choice import Candidate, asked_by_sigma
 from tests.multi.test_adjustment import GRID, SIDE, make
 
 Array = NDArray[np.float64]
@@ -74,7 +75,7 @@ def test_what_is_asked_for_is_given() -> None:
 
 
 def test_of_many_images_those_near_the_datum_decide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.multi.adjustment.MAX_IMAGES_TO_CHOOSE", 3)
+    monkeypatch.setattr("pcwlad_geo.multi.model_choice.MAX_IMAGES_TO_CHOOSE", 3)
     rng = np.random.default_rng(2)
     pairs = [(k, k + step) for step in (1, 2) for k in range(6 - step)]
     edges = [edge(rng, *pair, affine) for pair in pairs]
@@ -182,6 +183,6 @@ def test_further_pairs_go_to_kinds_with_few_pairs() -> None:
 def test_turns_that_leave_nothing_out_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = np.full(9, np.nan)
     errors = iter([nothing, np.array([1.0, 2.0, *nothing[2:]])])
-    monkeypatch.setattr("pcwlad_geo.multi.adjustment._errors", lambda *_: next(errors, nothing))
+    monkeypatch.setattr("pcwlad_geo.multi.model_choice._errors", lambda *_: next(errors, nothing))
     pair = edge(np.random.default_rng(5), 0, 1, affine)
     assert terms_of(choose_basis([pair], 2, "auto", datum=0)) == 1

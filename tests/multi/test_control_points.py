@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.adjustment import adjust
+from pcwlad_geo.multi.control_points import ControlPoint, check_control
 from pcwlad_geo.multi.network import SAME_PX, Edge, _near_pairs
-from pcwlad_geo.multi.stack_pairs import ControlPoint, check_control
 from pcwlad_geo.types import Float64, Index
 
 

@@ -16,9 +16,12 @@ from pcwlad_geo.errors import OutputError
 from pcwlad_geo.events import ignore
 from pcwlad_geo.multi.adjustment import adjust
 from pcwlad_geo.multi.cycles import StackQuality, image_qualities, residual_ce90
+from pcwlad_geo.multi.image_positions import stack_of
 from pcwlad_geo.multi.pages import stack_page
-from pcwlad_geo.multi.stack_pairs import StackFrame, StackPair, measured_pair
-from pcwlad_geo.multi.stack_result import Stack, graded, judge, stack_of
+from pcwlad_geo.multi.stack_frame import StackFrame
+from pcwlad_geo.multi.stack_pairs import StackPair, measured_pair
+from pcwlad_geo.multi.stack_result import Stack
+from pcwlad_geo.multi.stack_verdict import graded, judge
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.requirements import parse_requirements

@@ -16,13 +16,8 @@ from numpy.typing import NDArray
 import pcwlad_geo
 from pcwlad_geo.correction.models import ProjectiveCorrection
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.multi.adjustment import (
-    FrameAdjustment,
-    adjust,
-    homographies,
-    on_epipolar_lines,
-    or_homographies,
-)
+from pcwlad_geo.multi.adjustment import adjust
+from pcwlad_geo.multi.homographies import FrameAdjustment, homographies, on_epipolar_lines, or_homographies
 from pcwlad_geo.multi.network import Edge
 from tests.scenes import make_grid, render, write
 

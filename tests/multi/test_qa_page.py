@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
-from pcwlad_geo.multi.bands import Band, PairResult, close_triangles
-from pcwlad_geo.multi.pages import closes, crs_name, figure, qa_page, signed
+from pcwlad_geo.multi.bands import Band, PairResult, close_triangles, closes
+from pcwlad_geo.multi.pages import crs_name, figure, qa_page, signed
+from pcwlad_geo.multi.qa import closure_note
 from pcwlad_geo.multi.qa_result import QaResult, judge_pairs, judge_triangles, read_requirement, summarise
 from pcwlad_geo.options import Settings
 from tests.chromium import show
@@ -120,13 +121,23 @@ def test_closure_or_why_there_is_none() -> None:
     assert "compared with b2 only, so this check was not made" in one
 
 
+def test_triangles_that_do_not_close_are_told() -> None:
+    off = [GOOD[0], GOOD[1], make_pair(BANDS[1], BANDS[2], (0.66, 0.0))]
+    assert "Triangles do not close, the worst by 0." in page_of(BANDS, off).text
+    assert "do not close" not in page_of(BANDS, GOOD).text
+    note = closure_note(close_triangles(BANDS, off, 81))
+    assert note is not None
+    assert note.startswith("1 of 1 triangles do not close, b2 – b4 – b5 by 0.")
+    assert closure_note(close_triangles(BANDS, GOOD, 81)) is None
+
+
 def test_a_triangle_closes_within_the_limit_or_its_error() -> None:
     good = {"mean_px": (0.04, -0.05), "error_px": (0.001, 0.001)}
-    assert closes(good)
-    assert closes({"mean_px": (0.2, 0.0), "error_px": (0.1, 0.0)})
-    assert not closes({"mean_px": (0.2, 0.0), "error_px": (0.02, 0.0)})
-    assert not closes({"mean_px": (0.2, 0.0), "error_px": None})
-    assert not closes({"mean_px": None, "error_px": None})
+    assert closes(good["mean_px"], good["error_px"])
+    assert closes((0.2, 0.0), (0.1, 0.0))
+    assert not closes((0.2, 0.0), (0.02, 0.0))
+    assert not closes((0.2, 0.0), None)
+    assert not closes(None, None)
 
 
 def test_hostile_names_and_reasons_are_text() -> None:

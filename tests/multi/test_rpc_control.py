@@ -100,8 +100,18 @@ SINGULAR = {
 }
 
 
-@pytest.mark.parametrize("control", SINGULAR)
-@pytest.mark.parametrize("sigma", ["", "1e-15", "1e-200"])
+AT_EACH_CHANGE = {("spread", ""), ("one point", ""), ("on a line", "1e-15"), ("in one place", "1e-200")}
+"""Cases of control points and their sigma that are tested at each change; the others are slow."""
+
+
+@pytest.mark.parametrize(
+    ("control", "sigma"),
+    [
+        pytest.param(control, sigma, marks=[] if (control, sigma) in AT_EACH_CHANGE else [pytest.mark.slow])
+        for control in SINGULAR
+        for sigma in ("", "1e-15", "1e-200")
+    ],
+)
 def test_few_control_points_say_where_a_block_lies_however_precise_its_tie_points_are(
     scene: Scene, tmp_path: Path, control: str, sigma: str
 ) -> None:

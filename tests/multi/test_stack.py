@@ -18,9 +18,10 @@ from scipy.sparse.csgraph import connected_components
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
+from pcwlad_geo.multi.pair_choice import CHOICE, candidates, choose_pairs, read_overview
 from pcwlad_geo.multi.stack import stack
+from pcwlad_geo.multi.stack_frame import StackFrame
 from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_pairs import ALL_PAIRS, StackFrame, candidates, choose_pairs, read_overview
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -160,6 +161,8 @@ def test_what_cannot_be_stacked_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a stack needs two"):
         stack([one])
     (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match=r"flight/\*\.tif is a pattern that no file matches"):
+        stack(["flight/*.tif"], out_dir=tmp_path / "none")
     with pytest.raises(InputError, match="two images are called one"):
         stack([one, write(tmp_path / "b/one.tif", render(GRID), GRID)])
     plain = write(tmp_path / "plain.tif", render(GRID), None)
@@ -209,7 +212,7 @@ def test_images_without_common_ground_are_refused(tmp_path: Path) -> None:
     assert run_command(["stack", *map(str, images), "-o", str(tmp_path / "out")]) == 3
 
 
-@pytest.mark.parametrize("count", [3, ALL_PAIRS, 24, 60])
+@pytest.mark.parametrize("count", [3, CHOICE.all_pairs, 24, 60])
 def test_pairs_connect_every_image_several_times(tmp_path: Path, count: int) -> None:
     info = describe(write(tmp_path / "image.tif", render(GRID), GRID))
     frame = StackFrame([f"image{k}" for k in range(count)], [info] * count, GRID, True)
@@ -219,7 +222,7 @@ def test_pairs_connect_every_image_several_times(tmp_path: Path, count: int) -> 
     assert len(set(pairs)) == len(pairs)
     degree = np.bincount(np.ravel(pairs), minlength=count)
     assert degree.min() >= min(count - 1, 3)
-    assert len(pairs) <= (count * (count - 1) // 2 if count <= ALL_PAIRS else 4 * count)
+    assert len(pairs) <= (count * (count - 1) // 2 if count <= CHOICE.all_pairs else 4 * count)
     for without in pairs:  # every pair is in a cycle
         assert connected([pair for pair in pairs if pair != without], count)
     assert connected(choose_pairs(found, count, count - 1), count)

@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from affine import Affine
+from rasterio.crs import CRS
 
 from pcwlad_geo.multi.stack import stack
+from pcwlad_geo.raster.grid import Grid
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 from tests.scenes import make_grid, render, write
 
@@ -150,3 +153,17 @@ def test_bands_of_a_product_are_assets_of_one_item_each_on_its_grid(tmp_path: Pa
             assert asset["proj:shape"] == list(file.shape)
             assert asset["proj:transform"] == list(file.transform)[:6]
             assert item["geometry"]["type"] == "MultiPolygon"
+
+
+def test_items_across_180_degrees_are_cut_there(tmp_path: Path) -> None:
+    grid = Grid((160, 180), Affine(0.2 / 180, 0, 179.9, 0, -0.2 / 180, 0.1), CRS.from_epsg(4326))
+    rng = np.random.default_rng(3)
+    shown = [render(GRID, noise=0.0) + 2.0 * rng.standard_normal(GRID.shape) for _ in range(2)]
+    files = [write(tmp_path / f"{name}.tif", image, grid) for name, image in zip("ab", shown, strict=True)]
+    stack(files, out_dir=tmp_path / "out", **FAST)
+    item = json.loads((tmp_path / "out/item_a.json").read_text())
+    assert item["bbox"][::2] == pytest.approx([179.9, -179.9], abs=0.01)
+    sides = [sorted({x for x, _ in ring}) for (ring,) in item["geometry"]["coordinates"]]
+    np.testing.assert_allclose(sorted(sides), [[-180, -179.9], [179.9, 180]], atol=0.01)
+    collection = json.loads((tmp_path / "out/collection.json").read_text())
+    assert collection["extent"]["spatial"]["bbox"] == [pytest.approx(item["bbox"], abs=0.01)]

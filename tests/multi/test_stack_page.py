@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.multi.adjustment import adjust
+from pcwlad_geo.multi.image_positions import stack_of
 from pcwlad_geo.multi.pages import stack_page
-from pcwlad_geo.multi.stack_pairs import StackFrame, StackPair
-from pcwlad_geo.multi.stack_result import Stack, stack_of
+from pcwlad_geo.multi.stack_frame import StackFrame
+from pcwlad_geo.multi.stack_pairs import StackPair
+from pcwlad_geo.multi.stack_result import Stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import describe
 from tests.multi.test_adjustment import make, ring
@@ -83,6 +85,17 @@ def test_pairs_that_nothing_checks_are_not_said_to_agree(tmp_path: Path) -> None
     assert "(RMS), 2 of them checked by no other; 1 pair contradicts" in text
 
 
+def test_a_pair_without_a_page_leads_to_its_numbers(tmp_path: Path) -> None:
+    found = make_stack(tmp_path, ["date0", "date1", "date2", "date3"])
+    bare, full = (pair.folder for pair in found.pairs[:2])
+    for file in (bare / "report.json", full / "report.json", full / "report.html"):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    text = stack_page(found)
+    assert f'href="pairs/{bare.name}/report.json"' in text
+    assert f'href="pairs/{full.name}/report.html"' in text
+
+
 def test_dates_are_drawn_as_a_series_and_cycles_name_the_pair_to_blame(tmp_path: Path) -> None:
     found = make_stack(tmp_path, [f"date{number}" for number in range(9)])
     assert "Shifts in time" not in stack_page(found)
@@ -93,7 +106,7 @@ def test_dates_are_drawn_as_a_series_and_cycles_name_the_pair_to_blame(tmp_path:
     )
     text = stack_page(replace(found, images=images))
     picture, shown = re.findall(
-        r'<img src="data:image/png;base64,([^"]*)" alt="Shifts by date[^"]*: ([^"]*)."', text
+        r'<img src="data:image/svg\+xml;base64,([^"]*)" alt="Shifts by date[^"]*: ([^"]*)."', text
     )[0]
     assert shown == "9 images from 2020-01-05 to 2020-09-05"
     moved = replace(images[4], shift_px=(images[4].shift_px[0] + 1.0, images[4].shift_px[1]))

@@ -251,6 +251,8 @@ def test_a_date_is_added_first(tmp_path: Path) -> None:
         ("pixel_size_m", [-30, 30]),
         ("pixel_size_m", [1e300, 1e300]),
         ("sigma_px", [-1, 1]),
+        ("registered", []),
+        ("registered", {}),
     ],
 )
 def test_a_damaged_stack_is_told(name: str, value: object, tmp_path: Path) -> None:

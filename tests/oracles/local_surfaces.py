@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.kernels.local_surfaces import MIN_SCALE_PX, RIDGE, ROUNDS, TINY
+from pcwlad_geo.matching.kernels.local_surfaces import LIMITS
 
 Float64 = NDArray[np.float64]
 
@@ -40,10 +40,10 @@ def fit_surfaces_plain(
     residual = np.hypot(*np.moveaxis(displacement_px - start[:, None, :], 2, 0))
     value: Float64 = start
     scale: Float64 = np.ones(len(start))
-    for _ in range(ROUNDS):
+    for _ in range(LIMITS.rounds):
         seen = np.where(usable, residual, np.nan)
         seen[~enough] = 1.0
-        scale = np.nanmedian(seen, axis=1).clip(MIN_SCALE_PX)
+        scale = np.nanmedian(seen, axis=1).clip(LIMITS.min_scale_px)
         weight = np.where(usable, 1 / (1 + (residual / (2 * scale[:, None])) ** 2), 0.0)
         weighted = design * weight[..., None]
         right = np.einsum("nki,nkj->nij", weighted, displacement_px)
@@ -61,6 +61,6 @@ def fit_surfaces_plain(
 def _normal_matrices(design: Float64, weighted: Float64) -> Float64:
     normal: Float64 = np.einsum("nki,nkj->nij", weighted, design)
     index = np.arange(1, design.shape[2])
-    normal[:, index, index] += RIDGE * normal[:, 0, 0, None] + TINY
-    normal[:, 0, 0] += TINY
+    normal[:, index, index] += LIMITS.ridge * normal[:, 0, 0, None] + LIMITS.tiny
+    normal[:, 0, 0] += LIMITS.tiny
     return normal

@@ -10,7 +10,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.kernels import phase_congruency as bank
-from pcwlad_geo.matching.kernels.phase_congruency import MOMENT_EPSILON, SPREAD_CUT_OFF, SPREAD_GAIN
+from pcwlad_geo.matching.paper import PAPER
 
 Array = NDArray[np.float64]
 
@@ -32,9 +32,9 @@ def transfer_functions(rows: int, cols: int) -> tuple[Array, Array]:
     y, x = bank.frequencies(rows)[:, None], bank.frequencies(cols)
     radius, theta = np.hypot(x, y), np.arctan2(-y, x)
     radius[0, 0] = 1.0
-    low_pass = 1.0 / (1.0 + (radius / bank.LOW_PASS_CUT_OFF) ** bank.LOW_PASS_POWER)
-    centre = 1.0 / (bank.MIN_WAVELENGTH_PX * bank.WAVELENGTH_FACTOR ** np.arange(bank.SCALES))
-    deviation = np.log(radius / centre[:, None, None]) / np.log(bank.SIGMA_ON_F)
+    low_pass = 1.0 / (1.0 + (radius / PAPER.low_pass_cut_off) ** PAPER.low_pass_power)
+    centre = 1.0 / (PAPER.least_wavelength_px * PAPER.wavelength_factor ** np.arange(bank.SCALES))
+    deviation = np.log(radius / centre[:, None, None]) / np.log(PAPER.sigma_on_f)
     radial = low_pass * np.exp(-(deviation**2) / 2)
     radial[:, 0, 0] = 0.0
     turned = theta - np.arange(bank.ORIENTATIONS)[:, None, None] * np.pi / bank.ORIENTATIONS
@@ -51,7 +51,7 @@ def combine_scales_plain(responses: NDArray[np.complexfloating], epsilon: float)
     even_mean, odd_mean = even.sum(0) / norm, odd.sum(0) / norm
     energy = (even * even_mean + odd * odd_mean - np.abs(even * odd_mean - odd * even_mean)).sum(0)
     width = (amplitude.sum(0) / (amplitude.max(0) + epsilon) - 1) / (len(responses) - 1)
-    spread = 1 / (1 + np.exp(SPREAD_GAIN * (SPREAD_CUT_OFF - width)))
+    spread = 1 / (1 + np.exp(PAPER.spread_gain * (PAPER.spread_cut_off - width)))
     result: Array = spread * np.maximum(energy, 0) / (amplitude.sum(0) + epsilon)
     return result
 
@@ -64,5 +64,5 @@ def maximum_moment_plain(maps: NDArray[np.floating]) -> Array:
     c = np.tensordot(np.cos(theta) ** 2 / half, square, 1)
     s = np.tensordot(np.sin(theta) ** 2 / half, square, 1)
     cs = np.tensordot(2 * np.cos(theta) * np.sin(theta) / half, square, 1)
-    result: Array = (c + s + np.hypot(cs, c - s) + MOMENT_EPSILON) / 2
+    result: Array = (c + s + np.hypot(cs, c - s) + PAPER.moment_epsilon) / 2
     return result

@@ -11,20 +11,9 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter
 
-from pcwlad_geo.matching.kernels.refinement import (
-    LARGEST_RELAXATION,
-    LONGEST_STEP_PX,
-    MIN_SLOPE,
-    NEAR_PX,
-    PATIENCE,
-    SETTLED_AFTER,
-    SETTLING_PX,
-    SIGMA_PER_MEAN_DEVIATION,
-)
+from pcwlad_geo.matching.kernels.refinement import LIMITS
 from pcwlad_geo.matching.refinement import (
-    BLOCK_PX,
-    LARGEST_MOVE_PX,
-    TOLERANCE_PX,
+    REFINEMENT,
     ChannelMaps,
     Float64,
     Index,
@@ -82,18 +71,18 @@ def refine_plain(
                 linear += step[:, 1:] / window.half if affine else 0.0
                 before_px = control.length
                 shift += control.move(step[:, 0])
-                if np.linalg.norm(shift - start.shift_xy_px[p]) > LARGEST_MOVE_PX:
+                if np.linalg.norm(shift - start.shift_xy_px[p]) > REFINEMENT.most_move_px:
                     raise _StuckError
                 next_px = control.length * min(control.length / before_px, 1.0)
-                if before_px < NEAR_PX and next_px < TOLERANCE_PX:
+                if before_px < LIMITS.near_px and next_px < REFINEMENT.tolerance_px:
                     every = len(matrix) // 2
                     bread = np.linalg.inv(matrix)[::every, ::every]
                     result.covariance_px2[p] = bread @ (scores.T @ scores) @ bread
-                    result.converged[p] = control.determined(MIN_SLOPE)
+                    result.converged[p] = control.determined(LIMITS.min_slope)
                     break
-                if iteration >= SETTLED_AFTER and control.length > SETTLING_PX and not affine:
+                if iteration >= LIMITS.settled_after and control.length > LIMITS.settling_px and not affine:
                     break
-                if iteration >= PATIENCE and not control.determined(MIN_SLOPE / 2):
+                if iteration >= LIMITS.patience and not control.determined(LIMITS.min_slope / 2):
                     break
         except _StuckError:
             result.converged[p] = False
@@ -119,16 +108,16 @@ class _StepControl:
         if move @ plain <= 0:
             move = plain
         longer = float(np.linalg.norm(move) / np.linalg.norm(plain))
-        move = move / max(longer / LARGEST_RELAXATION, 1.0)
+        move = move / max(longer / LIMITS.largest_relaxation, 1.0)
         self.length = float(np.linalg.norm(move))
-        cut = max(self.length / LONGEST_STEP_PX, 1.0)
+        cut = max(self.length / LIMITS.longest_step_px, 1.0)
         self.moved, self.before = np.asarray(move / cut, np.float64), plain
         return self.moved
 
     def _learn(self, shrunk: Float64, moved: Float64) -> None:
         if not self.learned:
             slope = float(shrunk @ moved / (moved @ moved))
-            self.slopes = min(max(slope, 1 / LARGEST_RELAXATION), 1.0) * np.eye(2)
+            self.slopes = min(max(slope, 1 / LIMITS.largest_relaxation), 1.0) * np.eye(2)
             self.learned = True
         self.slopes = self.slopes + np.outer(shrunk - self.slopes @ moved, moved) / (moved @ moved)
 
@@ -162,7 +151,7 @@ class _Window:
         self.inside = _inside(reference.valid.shape, self.rows, self.cols, 0, 0)
         self.maps = reference.maps[:, self.rows, self.cols].astype(float) if self.inside else reference.maps
         self.core = np.s_[self.pad : -self.pad, self.pad : -self.pad]
-        blocks = max(4, round(max(np.broadcast_to(window_px, 2)) / BLOCK_PX))
+        blocks = max(4, round(max(np.broadcast_to(window_px, 2)) / REFINEMENT.block_px))
         block_row, block_col = (np.arange(2 * n + 1) * blocks // (2 * n + 1) for n in (half_rows, half_cols))
         self.block = block_row[:, None] * blocks + block_col
 
@@ -201,7 +190,7 @@ class _Window:
             fit = _weighted_fit(radiometric, g, w)
             residual = g - radiometric @ fit
             if robust:
-                sigma = SIGMA_PER_MEAN_DEVIATION * (w * abs(residual)).sum() / w.sum()
+                sigma = LIMITS.sigma_per_mean_deviation * (w * abs(residual)).sum() / w.sum()
                 w = w / (1 + abs(residual) / sigma)
                 fit = _weighted_fit(radiometric, g, w)
                 residual = g - radiometric @ fit

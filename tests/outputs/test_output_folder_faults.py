@@ -894,11 +894,14 @@ def in_children(script: str, folder: Path, *signals: int) -> None:
 @posix
 @pytest.mark.parametrize(
     "signals",
-    [(signal.SIGTERM,), (signal.SIGINT, signal.SIGINT), (signal.SIGINT, signal.SIGTERM, signal.SIGTERM)],
-    ids=["SIGTERM", "twice Ctrl-C", "Ctrl-C and SIGTERM twice"],
+    [
+        pytest.param([signal.SIGTERM], id="SIGTERM", marks=pytest.mark.slow),
+        pytest.param([signal.SIGINT, signal.SIGINT], id="twice Ctrl-C", marks=pytest.mark.slow),
+        pytest.param([signal.SIGINT, signal.SIGTERM, signal.SIGTERM], id="Ctrl-C and SIGTERM twice"),
+    ],
 )
 def test_signals_at_any_step_leave_the_old_results_or_the_new_and_nothing_else(
-    tmp_path: Path, signals: tuple[signal.Signals, ...]
+    tmp_path: Path, signals: list[signal.Signals]
 ) -> None:
     in_children(AT_EACH_STEP, tmp_path, *signals)
 

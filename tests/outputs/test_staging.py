@@ -324,6 +324,21 @@ def test_stages_of_living_processes_and_other_machines_are_left_alone(tmp_path: 
     assert elsewhere.is_dir()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="zombies are told from living processes on Linux only")
+def test_a_stage_of_a_process_that_nobody_has_waited_for_is_removed(tmp_path: Path) -> None:
+    """In a container the first process often waits for nobody: what has been killed remains as a zombie."""
+    with OutputFolder(tmp_path / "out") as folder:
+        prefix = folder.stage.name.removesuffix(str(os.getpid()))
+    with subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.read()  # it ends; its status is asked for only below
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        stage = tmp_path / f"{prefix}{process.pid}"
+        stage.mkdir()
+        run(tmp_path / "out", {"a.csv": "1"})
+        assert not stage.exists()
+
+
 def test_places_that_cannot_be_written_are_one_line_errors(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     for place in (tmp_path / "file", tmp_path / "file" / "out"):

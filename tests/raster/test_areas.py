@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+import tracemalloc
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +16,12 @@ import shapely
 from rasterio.crs import CRS
 
 import pcwlad_geo
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.raster.areas import Areas
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.masks import Areas
 from pcwlad_geo.raster.source import describe, with_areas
-from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.view import View
 from tests.rpc_scene import rpc_grid, write_dem
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
@@ -63,7 +66,12 @@ def raster(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "crs"), [(".gpkg", CRS_OF_SCENE), (".geojson", WGS84), (".fgb", CRS.from_epsg(3857))]
+    ("suffix", "crs"),
+    [
+        pytest.param(".gpkg", CRS_OF_SCENE, marks=pytest.mark.slow),
+        (".geojson", WGS84),
+        pytest.param(".fgb", CRS.from_epsg(3857), marks=pytest.mark.slow),
+    ],
 )
 def test_the_pixels_whose_centres_lie_in_the_areas_count(
     raster: Path, tmp_path: Path, suffix: str, crs: CRS
@@ -105,6 +113,82 @@ def test_polygons_of_kml(raster: Path, tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(InputError, match=message):
             valid(raster, aoi=path)
+
+
+def test_an_encoding_that_nobody_knows_is_said(raster: Path, tmp_path: Path) -> None:
+    path = tmp_path / "areas.kml"
+    path.write_text('<?xml version="1.0" encoding="x-none"?><kml></kml>')
+    with pytest.raises(InputError, match="cannot be read as KML: unknown encoding"):
+        valid(raster, aoi=path)
+
+
+def scribble(vertices: int, seed: int = 0) -> shapely.Polygon:
+    """Return a polygon that crosses itself everywhere, far beyond `GRID` too, in map coordinates."""
+    px = np.random.default_rng(seed).uniform(-1.0, 2.0, (vertices, 2)) * GRID.shape[::-1]
+    return shapely.Polygon(GRID.to_xy(px))
+
+
+def turns_are_odd(polygon: shapely.Polygon) -> np.ndarray:
+    """Return whether a line to the left of each pixel's centre crosses the outline an odd number of times."""
+    px = GRID.to_px(shapely.get_coordinates(polygon))
+    rows, cols = GRID.shape
+    row = np.arange(rows)[:, None] + 0.5
+    (x, y), (next_x, next_y) = px[:-1].T, px[1:].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = np.where((y > row) != (next_y > row), x + (row - y) / (next_y - y) * (next_x - x), np.inf)
+    return (at[:, :, None] < np.arange(cols) + 0.5).sum(axis=1) % 2 == 1
+
+
+def test_a_polygon_that_crosses_itself_covers_what_odd_turns_enclose(raster: Path, tmp_path: Path) -> None:
+    areas = scribble(40)
+    expected = turns_are_odd(areas)
+    assert 0.2 < expected.mean() < 0.8
+    path = save(tmp_path / "areas.geojson", areas)
+    assert (valid(raster, aoi=path) != expected).mean() < 2e-3  # GeoJSON rounds
+    stored = Areas(bytes(shapely.to_wkb(areas)), None)
+    window = Window(31, 47, 50, 60)
+    np.testing.assert_array_equal(stored.valid(window, GRID), expected[31:81, 47:107])
+    both = save(tmp_path / "both.gpkg", areas, scribble(40, seed=1))
+    either = expected | turns_are_odd(scribble(40, seed=1))
+    np.testing.assert_array_equal(valid(raster, aoi=both), either)
+
+
+def test_thousands_of_crossings_take_no_longer(raster: Path, tmp_path: Path) -> None:
+    areas = save(tmp_path / "areas.fgb", scribble(4000))
+    tracemalloc.start()
+    covered = valid(raster, aoi=areas)
+    assert tracemalloc.get_traced_memory()[1] < 2**28
+    tracemalloc.stop()
+    assert (covered != turns_are_odd(scribble(4000))).mean() < 2e-3
+
+
+def test_crossings_are_cut_in_another_crs(raster: Path, tmp_path: Path) -> None:
+    (west, south, east, north) = polygon(LEFT_PX, crs=WGS84).bounds
+    bow_tie = shapely.Polygon([(west, south), (east, north), (east, south), (west, north)])
+    far = shapely.Polygon([(-180, -90), (180, 90), (180, -90), (-180, 90)])  # as far as can be, and crossing
+    areas = save(tmp_path / "areas.geojson", bow_tie, crs=WGS84)
+    assert abs(int(valid(raster, aoi=areas).sum()) - 60 * 120 // 2) < 400
+    assert valid(
+        raster, exclude=save(tmp_path / "far.geojson", far, crs=WGS84)
+    ).all()  # north of the crossing
+
+
+ENDLESS = """WITH RECURSIVE numbers(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM numbers)
+SELECT n AS fid, NULL AS geom FROM numbers"""
+
+
+def test_views_are_refused_and_trusted_ones_end(
+    raster: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = save(tmp_path / "areas.gpkg", polygon(LEFT_PX))
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("DROP TABLE areas")
+        database.execute(f"CREATE VIEW areas AS {ENDLESS}")
+    with pytest.raises(TrustError, match=r"the view 'areas', a query that may never end.*--trust-vrt"):
+        valid(raster, aoi=path)
+    monkeypatch.setattr("pcwlad_geo.raster.vectors.READING_S", 3.0)
+    with trusting(Trust(vrt=True)), pytest.raises(InputError, match="it takes more than 3 s"):
+        valid(raster, aoi=path)
 
 
 def test_other_formats_are_read_where_they_are_trusted(raster: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from pcwlad_geo.limits import XMP_BYTES
 from pcwlad_geo.raster.cameras import Camera, camera_of, expected_scale
 from pcwlad_geo.raster.source import describe
-from tests.scenes import tag_frame, write
+from tests.scenes import tag_frame, tag_jpeg, write
 
 DRONE = "http://www.dji.com/drone-dji/1.0/"
 WIDE = Camera(focal_px=3000.0, height_m=80.0, altitude_m=None)
@@ -31,11 +31,7 @@ def frame(path: Path, packet: str = "", **exif: str) -> Path:
     """Write a frame; the packet becomes the XMP of a JPEG, the tags the EXIF of a GeoTIFF."""
     values = np.random.default_rng(1).integers(0, 255, (300, 400)).astype(np.uint8)
     if packet:
-        write(path, values, None, driver="JPEG", dtype="uint8")
-        text = b"http://ns.adobe.com/xap/1.0/\0" + packet.encode()
-        whole = path.read_bytes()
-        segment = b"\xff\xe1" + (len(text) + 2).to_bytes(2, "big") + text
-        path.write_bytes(whole[:2] + segment + whole[2:])
+        tag_jpeg(write(path, values, None, driver="JPEG", dtype="uint8"), packet)
     else:
         tag_frame(write(path, values, None, dtype="uint8"), **exif)
     return path
@@ -67,6 +63,26 @@ def test_focal_length_by_its_35_mm_equivalent(tmp_path: Path) -> None:
     assert found is not None
     assert found.focal_px == pytest.approx(24 * 500 / math.hypot(36, 24))
     assert found.altitude_m == 120.5
+
+
+def test_tags_of_a_jpeg_are_read(tmp_path: Path) -> None:
+    values = np.random.default_rng(1).integers(0, 255, (300, 400)).astype(np.uint8)
+    path = write(tmp_path / "a.jpg", values, None, driver="JPEG", dtype="uint8")
+    packet = xmp(attribute='drone-dji:RelativeAltitude="+80.5"')
+    tag_jpeg(
+        path, packet, FocalLength=[8.5], FocalLengthIn35mmFilm=24, GPSAltitudeRef="0", GPSAltitude=[120.5]
+    )
+    found = camera(path)
+    assert found is not None
+    assert found.focal_px == pytest.approx(24 * 500 / math.hypot(36, 24))
+    assert (found.height_m, found.altitude_m) == (80.5, 120.5)
+
+
+def test_a_thermal_jpeg_beside_a_visible_one_has_a_scale(shared_data: Path) -> None:
+    folder = shared_data / "field" / "jpeg_exif_not_read"
+    scale, note = expected_scale(camera(folder / "visible.jpg"), camera(folder / "thermal.jpg"))
+    assert scale == pytest.approx(58 * math.hypot(512, 640) / (47 * math.hypot(2916, 3888)))
+    assert note == "by the cameras' data the target's pixels are 4.8 times as large"
 
 
 def test_focal_lengths_that_contradict_each_other_are_not_believed(tmp_path: Path) -> None:
@@ -119,7 +135,7 @@ def test_entities_are_not_expanded_and_large_packets_not_parsed() -> None:
         def __init__(self, packet: str) -> None:
             self.packet = packet
 
-        def tags(self, ns: str) -> dict[str, str]:
+        def tags(self, ns: str = "") -> dict[str, str]:
             return {"xml:XMP": self.packet} if ns == "xml:XMP" else {}
 
     bomb = '<!DOCTYPE x [<!ENTITY a "1">' + "".join(

@@ -16,7 +16,8 @@ from scipy.ndimage import gaussian_filter
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, Window
-from pcwlad_geo.raster.source import RasterInfo, describe, without_collar
+from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster.undeclared import without_collar
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.registration.run import run
 
@@ -231,6 +232,15 @@ def test_note_names_file_value_and_share(tmp_path: Path) -> None:
     assert "turned.tif" in note
     assert "(value 0)" in note
     assert f"{100 * info.collar.share:.2g} %" in note
+
+
+def test_a_narrow_border_is_masked_without_a_word(tmp_path: Path) -> None:
+    values = texture((600, 720)).round().clip(1, 255).astype(np.uint8)
+    values[:, :3] = 0
+    info, notes = collared(write(tmp_path / "a.tif", values))
+    assert info.collar is not None
+    assert 0 < info.collar.share < 0.01
+    assert notes == ()
 
 
 def test_pair_is_matched_without_the_collar(tmp_path: Path) -> None:

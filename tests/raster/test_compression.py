@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.compression import find_blocks, with_compression_blocks
 from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.source import describe, find_blocks, with_compression_blocks
+from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.types import Bool
 

@@ -8,10 +8,10 @@ from rasterio.crs import CRS
 from rasterio.shutil import copy
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc import dem as module
-from pcwlad_geo.raster.rpc.dem import WGS84, Dem, Undulation, open_dem
+from pcwlad_geo.raster.rpc.dem import Dem, Undulation, open_dem
 from tests.rpc_scene import dem_grid, dem_values, write_dem
 from tests.scenes import CRS_OF_SCENE, write
 

@@ -5,7 +5,8 @@ import pytest
 from affine import Affine
 from rasterio.control import GroundControlPoint
 
-from pcwlad_geo.raster.grid import apply, geotransform_of
+from pcwlad_geo.raster.georeferencing import geotransform_of
+from pcwlad_geo.raster.grid import apply
 
 TRANSFORM = Affine(8.0, 3.0, 512_345.25, 2.5, -9.0, 5_123_456.75)
 RNG = np.random.default_rng(3)

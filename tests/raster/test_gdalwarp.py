@@ -15,8 +15,8 @@ from rasterio.crs import CRS
 from pcwlad_geo.correction.models import SplineCorrection, SplineGrid
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.warping import warp
+from pcwlad_geo.tiepoints.gcps import write_gcps_vrt
 from pcwlad_geo.tiepoints.table import TiePointTable
-from pcwlad_geo.tiepoints.writers import write_gcps_vrt
 
 GRID = Grid((300, 320), Affine(30.0, 0.0, 500_010.0, 0.0, -30.0, 4_900_020.0), CRS.from_epsg(32633))
 FIELD = SplineCorrection(

@@ -15,9 +15,10 @@ import rasterio
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.rpc.dem import open_dem
-from pcwlad_geo.raster.source import describe, open_raster
-from pcwlad_geo.raster.trust import Trust, current_trust, trusting
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.trust.permissions import Trust, current_trust, trusting
 from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.hostile_rasters import Server, raw_vrt, serving, vrt, wms
 from tests.scenes import make_grid, write
@@ -272,7 +273,7 @@ def test_trust_ends() -> None:
 
 
 def test_nothing_else_opens_rasters() -> None:
-    """A raster is opened for reading in `gdal` alone, so that no other place can forget the checks."""
+    """A raster is opened for reading in `opening` alone, so that no other place can forget the checks."""
     package = Path(pcwlad_geo.__file__).parent
     found = []
     for path in package.rglob("*.py"):
@@ -285,4 +286,4 @@ def test_nothing_else_opens_rasters() -> None:
                 ("DatasetReader", "DatasetWriter")
             ):
                 found.append(path.relative_to(package).as_posix())
-    assert set(found) == {"raster/gdal.py", "raster/trust.py"}
+    assert set(found) == {"raster/opening.py", "raster/trust/checks.py"}

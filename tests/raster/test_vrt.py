@@ -22,8 +22,8 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.trust import Trust, trusting
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.raster.trust.permissions import Trust, trusting
+from pcwlad_geo.tiepoints.gcps import write_gcps_vrt
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 UTM = CRS.from_epsg(32633)
@@ -82,7 +82,7 @@ def test_gcps_hold_the_tie_points_but_not_the_rejected(tmp_path: Path, crs: CRS)
     target = write_target(tmp_path / "t.tif")
     points = table(crs)
     path = tmp_path / "t_gcps.vrt"
-    writers.write_gcps_vrt(path, target, points, crs, final_path=path)
+    write_gcps_vrt(path, target, points, crs, final_path=path)
     with rasterio.open(path) as dataset:
         gcps, gcp_crs = dataset.gcps
         assert np.array_equal(dataset.read(), PIXELS)
@@ -98,7 +98,7 @@ def test_gdal_warps_the_gcps_to_the_right_place(tmp_path: Path) -> None:
     ramp = (CORRECTION.inverse(observed_px) @ [1.0, 100.0]).reshape(1, 60, 80)
     target = write_target(tmp_path / "t.tif", ramp)
     path = tmp_path / "t_gcps.vrt"
-    writers.write_gcps_vrt(path, target, table(), UTM, final_path=path)
+    write_gcps_vrt(path, target, table(), UTM, final_path=path)
     warped = np.full((60, 80), np.nan)
     with rasterio.open(path) as dataset:
         gcps: list[GroundControlPoint] = dataset.gcps[0]
@@ -125,7 +125,7 @@ def test_files_without_georeferencing_lie_in_the_pixel_plane(tmp_path: Path) -> 
     for name in ("gcps", "corrected"):
         path = tmp_path / f"{name}.vrt"
         if name == "gcps":
-            writers.write_gcps_vrt(path, target, points, None, final_path=path)
+            write_gcps_vrt(path, target, points, None, final_path=path)
         else:
             vrt.write_corrected_vrt(path, target, CORRECTION, plain, final_path=path)
         with rasterio.open(path) as dataset:
@@ -156,7 +156,7 @@ def test_everything_beside_the_pixels_is_kept_except_what_no_longer_holds(tmp_pa
         assert dataset.tags(ns="SENSOR") == {"gain": "3.5"}
         assert (dataset.tags(1), dataset.tags(ns="RPC"), dataset.rpcs) == ({"WAVELENGTH": "10.9"}, {}, None)
     gcps = tmp_path / "g.vrt"
-    writers.write_gcps_vrt(gcps, target, table(), UTM, final_path=gcps)
+    write_gcps_vrt(gcps, target, table(), UTM, final_path=gcps)
     with rasterio.open(gcps) as dataset:
         assert dataset.tags()["AREA_OR_POINT"] == "Area"
 

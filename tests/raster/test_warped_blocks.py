@@ -13,7 +13,7 @@ from affine import Affine
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.source import open_raster
+from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.warped_views import UnreadableParts, warped_blocks
 
 SHAPE = (130, 170)
@@ -51,7 +51,7 @@ def threads() -> set[threading.Thread]:
 def test_every_window_comes_once_with_its_pixels(raster: str, image: np.ndarray) -> None:
     before = threads()
     seen = np.zeros_like(image)
-    for window, block in warped_blocks(unreadable(raster), partial(open_raster, raster), WINDOWS):
+    for window, block in warped_blocks(unreadable(raster), [partial(open_raster, raster)], WINDOWS):
         rows, cols = window.toslices()
         assert not seen[:, rows, cols].any()
         seen[:, rows, cols] = block
@@ -65,7 +65,7 @@ def test_no_more_blocks_are_read_ahead_than_there_are_threads(
     monkeypatch.setattr("pcwlad_geo.raster.warped_views.MAX_THREADS", 2)
     monkeypatch.setattr("os.cpu_count", lambda: 8)
     before = threads()
-    blocks = warped_blocks(unreadable(raster), partial(open_raster, raster), WINDOWS)
+    blocks = warped_blocks(unreadable(raster), [partial(open_raster, raster)], WINDOWS)
     next(blocks)
     assert len(threads() - before) == 2
     blocks.close()  # both threads wait to hand over: they must end all the same
@@ -75,9 +75,9 @@ def test_no_more_blocks_are_read_ahead_than_there_are_threads(
 def test_what_cannot_be_read_is_an_input_error(raster: str) -> None:
     before = threads()
     with pytest.raises(InputError, match=r"absent\.tif"):
-        list(warped_blocks(unreadable("absent.tif"), partial(open_raster, "absent.tif"), WINDOWS))
+        list(warped_blocks(unreadable("absent.tif"), [partial(open_raster, "absent.tif")], WINDOWS))
     with Path(raster).open("r+b") as file:
         file.truncate(20_000)
     with pytest.raises(InputError, match=r"a\.tif cannot be read"):
-        list(warped_blocks(unreadable(raster), partial(open_raster, raster), WINDOWS))
+        list(warped_blocks(unreadable(raster), [partial(open_raster, raster)], WINDOWS))
     assert threads() == before

@@ -14,7 +14,8 @@ from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.matching_grid import EXTENT_MARGIN_PX
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.inputs import requested_grid
-from tests.registration.test_run import check, write_pair
+from pcwlad_geo.registration.run import run
+from tests.registration.test_run import SHIFT_PX, check, write_pair
 from tests.scenes import PIXEL_M, make_grid
 
 HALO_PX = 200
@@ -79,3 +80,51 @@ def test_an_extent_elsewhere_is_told(tmp_path: Path) -> None:
         pair.run(extent=(0.0, 0.0, 10.0, 10.0))
     with pytest.raises(SettingsError, match="the smaller ones first"):
         Settings(extent=(3.0, 0.0, 1.0, 1.0))
+
+
+HUGE_SIDE_PX = 2**28
+"""Of a tile service at its deepest levels."""
+VRT = """<VRTDataset rasterXSize="{side}" rasterYSize="{side}"><SRS>EPSG:32633</SRS>
+<GeoTransform>{transform}</GeoTransform>
+<VRTRasterBand dataType="UInt16" band="1"><SimpleSource>
+<SourceFilename relativeToVRT="1">{name}</SourceFilename><SourceBand>1</SourceBand>
+<SrcRect xOff="0" yOff="0" xSize="{cols}" ySize="{rows}"/>
+<DstRect xOff="{col}" yOff="{row}" xSize="{cols}" ySize="{rows}"/>
+</SimpleSource></VRTRasterBand></VRTDataset>"""
+
+
+def huge(path: Path, grid: Grid) -> Path:
+    """Write a VRT of `HUGE_SIDE_PX` a side in which a raster lies somewhere."""
+    rows, cols = grid.shape
+    col, row = 150_000, 90_000
+    corner = grid.transform @ (-col, -row)
+    numbers = (corner[0], grid.transform.a, 0, corner[1], 0, grid.transform.e)
+    where = {"rows": rows, "cols": cols, "row": row, "col": col}
+    transform = ", ".join(map(str, numbers))
+    text = VRT.format(side=HUGE_SIDE_PX, transform=transform, name=path.name, **where)
+    result = path.with_suffix(".vrt")
+    result.write_text(text)
+    return result
+
+
+@pytest.mark.parametrize(("which", "extent"), [("ref", False), ("tgt", True)])
+def test_of_a_huge_raster_only_what_is_compared_counts(which: str, extent: bool, tmp_path: Path) -> None:
+    grid = make_grid((240, 260))
+    write_pair(tmp_path, grid, grid)
+    files = {"ref": tmp_path / "ref.tif", "tgt": tmp_path / "tgt.tif"}
+    files[which] = huge(files[which], grid)
+    box = extent_of(grid, Window(20, 30, 200, 210)) if extent else None
+    found = run(files["ref"], files["tgt"], Settings(extent=box, features=300))
+    assert found.status == "registered"
+    assert found.quality is not None
+    assert found.quality.grade == "good"
+    moved_px = found.tie_points.select("fit", "check").displacement_px
+    assert np.median(moved_px, axis=0) == pytest.approx(SHIFT_PX, abs=0.05)
+
+
+def test_what_is_compared_of_huge_rasters_must_not_be_huge(tmp_path: Path) -> None:
+    grid = make_grid((60, 60))
+    write_pair(tmp_path, grid, grid)
+    files = [huge(tmp_path / f"{name}.tif", grid) for name in ("ref", "tgt")]
+    with pytest.raises(InputError, match=r"pixels show ground that is compared, .* give an --extent"):
+        run(*files, Settings())

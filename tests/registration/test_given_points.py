@@ -16,7 +16,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.table import TiePointTable, place
 from tests.registrations import json_of
 from tests.scenes import make_grid, render, write
@@ -46,10 +46,19 @@ def make_table(
 
 
 def write_table(table: TiePointTable, path: Path, columns: int = 18) -> Path:
-    writers.write_csv(table, path)
+    write_csv(table, path)
     lines = [line.split(",") for line in path.read_text().splitlines()]
     path.write_text("".join(",".join(cells[:columns]) + "\n" for cells in lines))
     return path
+
+
+def test_points_of_frames_tell_how_these_lie(tmp_path: Path) -> None:
+    flat = np.full(GRID.shape, 7, "uint8")
+    ref, tgt = (write(tmp_path / name, flat, None, dtype="uint8") for name in ("a.tif", "b.tif"))
+    path = write_table(make_table((ref, tgt)), tmp_path / "p.csv")
+    told = " ".join(run(ref, tgt, Settings(tie_points=path)).warnings)
+    assert "only the tie points given tell how the two lie" in told
+    assert "only their pixels" not in told
 
 
 @pytest.mark.parametrize("columns", [18, 5], ids=["all columns", "positions only"])

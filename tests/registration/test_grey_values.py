@@ -45,7 +45,7 @@ def error_px(found: Registration) -> Array:
     return points.displacement_px[points.status != "rejected"] - SHIFT_PX
 
 
-@pytest.mark.parametrize("tile_size", [2048, 256])
+@pytest.mark.parametrize("tile_size", [2048, pytest.param(256, marks=pytest.mark.slow)])
 def test_grey_values_register_what_structure_does_not(tile_size: int, tmp_path: Path) -> None:
     found = run(*pair(tmp_path, bands(1)), Settings(tile_size=tile_size))
     assert found.status == "registered"
@@ -62,7 +62,7 @@ def test_grey_values_of_other_ground_are_refused(tmp_path: Path) -> None:
     assert run(*pair(tmp_path, bands(1, 2)), Settings(prealign="georef")).status == "rejected"
 
 
-@pytest.mark.parametrize("method", ["gradient", "pcwlad"])
+@pytest.mark.parametrize("method", ["gradient", pytest.param("pcwlad", marks=pytest.mark.slow)])
 def test_a_method_that_was_chosen_is_kept_to(method: str, tmp_path: Path) -> None:
     settings = Settings(prealign="georef", method=method)  # type: ignore[arg-type]
     assert run(*pair(tmp_path, bands(1)), settings).prealignment.matched_by == "structure"

@@ -31,37 +31,37 @@ def assert_same(found: ChannelPair | None, wanted: ChannelPair) -> None:
 
 def test_a_pair_is_taken_once_and_is_what_it_was(pair: ChannelPair) -> None:
     kept = TileCache()
-    kept.keep("scene", 3, pair)
+    kept.keep("scene", 3, pair, 9 * NBYTES)
     assert kept.take("scene", 2) is None
     assert_same(kept.take("scene", 3), pair)
     assert kept.take("scene", 3) is None
 
 
 def test_what_exceeds_the_limit_is_not_kept(pair: ChannelPair) -> None:
-    kept = TileCache(most_bytes=2 * NBYTES)
+    kept = TileCache()
     for tile in range(3):
-        kept.keep("scene", tile, pair)
+        kept.keep("scene", tile, pair, 2 * NBYTES)
     assert [kept.take("scene", tile) is None for tile in range(3)] == [False, False, True]
 
 
 def test_of_many_pairs_the_maps_are_kept_and_of_a_lone_one_all(pair: ChannelPair) -> None:
-    kept = TileCache(most_bytes=5 * NBYTES)
-    kept.keep("scene", 0, pair)
+    kept = TileCache()
+    kept.keep("scene", 0, pair, 5 * NBYTES)
     assert kept.take("scene", 0) is pair, "there is room for what interpolates it"
     for tile in range(3):
-        kept.keep("scene", tile, pair)
+        kept.keep("scene", tile, pair, 5 * NBYTES)
     for tile in range(3):
         found = kept.take("scene", tile)
         assert_same(found, pair)
         assert found is not pair, "three have no room for that"
-    kept = TileCache(most_bytes=NBYTES)
-    kept.keep("scene", 0, pair, alone=True)
+    kept = TileCache()
+    kept.keep("scene", 0, pair, NBYTES, alone=True)
     assert kept.take("scene", 0) is pair
 
 
 def test_another_scene_takes_the_place_of_the_last(pair: ChannelPair) -> None:
-    kept = TileCache(most_bytes=NBYTES)
-    kept.keep("first", 0, pair)
-    kept.keep("second", 0, pair)
+    kept = TileCache()
+    kept.keep("first", 0, pair, NBYTES)
+    kept.keep("second", 0, pair, NBYTES)
     assert kept.take("first", 0) is None
     assert_same(kept.take("second", 0), pair)

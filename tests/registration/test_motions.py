@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
-from pcwlad_geo.products import of_one_product
+from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.registration.judge import (
     MIN_REJECTED,
     motions_of,

@@ -20,9 +20,9 @@ from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import _common_px, open_pair, run
-from pcwlad_geo.tiepoints.readers import read_tie_points
+from pcwlad_geo.tiepoints.csv_file import write_csv
+from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
-from pcwlad_geo.tiepoints.writers import write_csv
 from tests.patience import PATIENCE_S
 from tests.registration.test_run import write_pair
 from tests.scenes import make_grid

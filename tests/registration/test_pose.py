@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +16,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.pose import PoseProposal
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.cameras import Camera
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration import prealign, scene
@@ -24,11 +27,12 @@ from pcwlad_geo.registration.prealign import (
     StartingAlignment,
     posed_start,
     read_overviews,
+    scales_of_frames,
 )
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.registration.scene import pose_from_points
-from tests.scenes import Array, make_grid, render, tag_frame, write
+from tests.scenes import Array, make_grid, render, tag_jpeg, write
 
 GRID = make_grid((300, 320))
 RMSE_AS_IT_LIES_PX = 0.193
@@ -48,7 +52,7 @@ def register(folder: Path, linear: Array, shift: Array, *, located: bool, **opti
     reference = write(folder / "reference.tif", render(GRID), GRID if located else None)
     values = render(GRID, "thermal", linear=linear, displacement_px=shift)
     target = write(folder / "target.tif", values, GRID if located else None)
-    return run(reference, target, Settings.from_options({"window": 81, **options}))
+    return run(reference, target, Settings.from_options({"window": 81, "features": 1000, **options}))
 
 
 def errors_px(found: Registration, linear: Array, shift: Array) -> Array:
@@ -66,17 +70,18 @@ def test_a_target_as_it_lies_is_not_searched_for_a_pose(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("located", "rotation_deg", "scale"),
+    ("located", "rotation_deg", "scale", "candidates"),
     [
-        (True, 35.0, 1.0),
-        pytest.param(False, -170.0, 1.15, marks=pytest.mark.slow),
+        (True, 35.0, 1.0, 250),
+        pytest.param(True, 35.0, 1.0, 1000, marks=pytest.mark.slow),
+        pytest.param(False, -170.0, 1.15, 1000, marks=pytest.mark.slow),
     ],
 )
 def test_a_turned_target_is_registered_as_precisely(
-    located: bool, rotation_deg: float, scale: float, tmp_path: Path
+    located: bool, rotation_deg: float, scale: float, candidates: int, tmp_path: Path
 ) -> None:
     linear, shift = pose_of(rotation_deg, scale)
-    found = register(tmp_path, linear, shift, located=located)
+    found = register(tmp_path, linear, shift, located=located, features=candidates)
     assert found.status == "registered"
     assert np.sqrt((errors_px(found, linear, shift) ** 2).mean()) < 1.15 * RMSE_AS_IT_LIES_PX * scale
     corners = np.array([[0.0, 0.0], [320.0, 0.0], [0.0, 300.0], [320.0, 300.0]])
@@ -196,25 +201,79 @@ def through(homography: Array, xy: Array) -> Array:
     return np.asarray(moved[:, :2] / moved[:, 2:])
 
 
+RELATIVE = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    '<rdf:Description xmlns:d="http://www.dji.com/drone-dji/1.0/" d:RelativeAltitude="+300.00"/></rdf:RDF>'
+    "</x:xmpmeta>"
+)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("told", [True, False])
 def test_pixels_of_very_different_size_are_found_by_the_cameras(told: bool, tmp_path: Path) -> None:
     fine = make_grid((1600, 1760), pixel_m=30.0 / 8)
     linear, shift = pose_of(25.0, 1.0)
-    reference = write(tmp_path / "reference.tif", render(fine), None)
+    jpeg = {"driver": "JPEG", "dtype": "uint8", "quality": 95}
+    reference = write(tmp_path / "reference.jpg", render(fine), None, **jpeg)
     values = render(make_grid((300, 320)), "thermal", linear=linear, displacement_px=shift)
-    target = write(tmp_path / "target.tif", values, None)
+    target = write(tmp_path / "target.jpg", values, None, **jpeg)
     for path, focal_px in ((reference, 8000), (target, 1000)):
-        tags = {"FocalLength": "(10)", "FocalPlaneXResolution": f"({focal_px / 10})"}
-        tags |= {"FocalPlaneResolutionUnit": "4"} | ({"GPSAltitude": "(300)"} if told else {})
-        tag_frame(path, **tags)
+        tags = {
+            "FocalLength": [10.0],
+            "FocalPlaneXResolution": [focal_px / 10],
+            "FocalPlaneResolutionUnit": 4,
+        }
+        tag_jpeg(path, RELATIVE if told else "", **tags)  # type: ignore[arg-type]
     found = run(reference, target, Settings())
     assert any("8.0 times as large" in warning for warning in found.warnings) == told
     assert any("data are ignored" in warning for warning in found.warnings) != told
-    if told:
-        assert found.status == "registered"
-        assert found.prealignment.expected_scale == pytest.approx(1 / 8)
-        assert np.median(errors_px(found, linear / 8, shift)) < 0.3
+    assert found.status == "registered"
+    assert found.prealignment.expected_scale == pytest.approx(1 / 8)  # by the lenses alone, if not told
+    assert np.median(errors_px(found, linear / 8, shift)) < 0.3
+
+
+@pytest.mark.slow
+def test_frames_of_very_different_size_are_found_by_these(tmp_path: Path) -> None:
+    """A thermal frame shows 1 / 1.4 of the width of the visible one, which has 7.7 times its columns."""
+    scale = 1.4 / 7.7
+    fine = make_grid((1232, 1355), pixel_m=30 * scale)
+    turn, _ = pose_of(12.0, 1.0)
+    shift = np.array([88.0, 80.0]) - turn @ np.array([1355, 1232]) / 2 * scale
+    visible = write(tmp_path / "visible.tif", render(fine), None)
+    values = render(make_grid((160, 176)), "thermal", linear=turn, displacement_px=shift)
+    thermal = write(tmp_path / "thermal.tif", values, None)
+    found = run(visible, thermal, Settings())
+    assert found.status == "registered"
+    assert found.prealignment.expected_scale == pytest.approx(1 / 7.7, rel=1e-3)
+    assert np.median(errors_px(found, turn * scale, shift)) < 0.3
+
+
+def test_a_scale_is_guessed_of_frames_of_very_different_size_alone(tmp_path: Path) -> None:
+    sizes = {"large": (900, 1200), "small": (112, 160), "similar": (600, 800)}
+    infos = {
+        name: describe(write(tmp_path / f"{name}.tif", np.ones(shape), None)) for name, shape in sizes.items()
+    }
+    large, small = infos["large"], infos["small"]
+    guess = math.hypot(*sizes["small"]) / math.hypot(*sizes["large"])
+    assert scales_of_frames(plan_views(large, small)) == (None, pytest.approx(guess))
+    assert scales_of_frames(plan_views(small, large)) == (None, pytest.approx(1 / guess))
+    assert scales_of_frames(plan_views(large, infos["similar"])) == (None, None)
+    cameras = Camera(4000.0, None, None), Camera(400.0, None, None)
+    by_lens = [replace(info, camera=camera) for info, camera in zip((large, small), cameras, strict=True)]
+    assert scales_of_frames(plan_views(*by_lens)) == (None, pytest.approx(0.1))
+    told = [replace(info, camera=replace(info.camera, height_m=50.0)) for info in by_lens]  # type: ignore[type-var]
+    assert scales_of_frames(plan_views(*told)) == (pytest.approx(0.1), None)
+    located = [replace(info, georeferenced=True) for info in (large, small)]
+    assert scales_of_frames(plan_views(*located)) == (None, None)
+
+
+@pytest.mark.slow
+def test_a_refusal_speaks_of_the_scale_where_sizes_differ_much(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    paths = [write(tmp_path / f"{n}.tif", rng.uniform(1, 255, (n, n)), None) for n in (700, 100)]
+    found = run(*paths, Settings())
+    assert found.status == "rejected"
+    assert "The pixels of the reference may be 7.0 times as small" in str(found.reason)
 
 
 def views(folder: Path, *, located: bool = True) -> ViewPair:

@@ -12,7 +12,7 @@ from pcwlad_geo.correction.error_statistics import Move, Proof, TrialEntry
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.events import JobLog, ignore
 from pcwlad_geo.execution.runner import InThisProcess
-from pcwlad_geo.matching.prepare import noise_level
+from pcwlad_geo.matching.noise import noise_level
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.registration.proof import (

@@ -19,7 +19,7 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.rpc.model import read_rpc, to_gdal
 from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.trust import Trust, trusting
+from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.rpc import MAX_BIAS_M, check_start, place_target
@@ -79,8 +79,7 @@ def test_points_are_seen_in_the_original_image(registered: Registered, pair: Pai
 
 
 def rpc_lon_lat(xy: np.ndarray) -> np.ndarray:
-    from pcwlad_geo.raster.crs import transform_xy
-    from pcwlad_geo.raster.rpc.dem import WGS84
+    from pcwlad_geo.raster.crs import WGS84, transform_xy
     from tests.scenes import CRS_OF_SCENE
 
     return transform_xy(xy, CRS_OF_SCENE, WGS84)

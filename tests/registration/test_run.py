@@ -18,8 +18,8 @@ from rasterio.crs import CRS
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.events import Event, Progress, Warned
-from pcwlad_geo.execution.processes import OwnProcesses
 from pcwlad_geo.execution.runner import OnExecutor, Runner
+from pcwlad_geo.execution.workers import LocalWorkers
 from pcwlad_geo.options import Model, Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
@@ -476,10 +476,7 @@ def assert_identical(a: Registration, b: Registration) -> None:
 
 @pytest.mark.parametrize("jobs", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_any_number_of_jobs_gives_the_same_to_the_last_bit(jobs: int, scene: Path) -> None:
-    with OwnProcesses(jobs) as runner:
-        found = on(runner, scene)
-        assert len(runner.process_ids) == (0 if jobs == 1 else jobs)
-    assert_identical(found, tiled(140, scene))
+    assert_identical(on(LocalWorkers(jobs), scene), tiled(140, scene))
 
 
 def test_threads_give_the_same_to_the_last_bit(scene: Path) -> None:

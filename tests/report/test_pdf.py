@@ -22,7 +22,7 @@ from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.content import summarise
 from pcwlad_geo.report.page import check_pdf, compose, report_page, to_pdf
 from pcwlad_geo.report.views import checkered
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints.csv_file import write_csv
 from tests.registrations import of_files, write_pair
 
 Make = Callable[..., Registration]
@@ -133,7 +133,7 @@ def test_missing_pango_is_told_with_what_to_install(
 def test_register_writes_and_lists_it_on_request_only(registration: Make, tmp_path: Path) -> None:
     reference, target = write_pair(tmp_path)
     points = tmp_path / "points.csv"
-    writers.write_csv(registration(n=200).tie_points, points)
+    write_csv(registration(n=200).tie_points, points)
     for wanted in (True, False):
         out_dir = tmp_path / str(wanted)
         pcwlad_geo.register(reference, target, tie_points=points, out_dir=out_dir, pdf=wanted)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pcwlad_geo.cli.job import Outcome
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report import page
 from pcwlad_geo.report.content import summarise
@@ -77,4 +79,27 @@ def test_the_page_shows_them(registration: Make) -> None:
     shown = page.report_page(report, page.compose(made, report, None))
     assert "Registered, but a requirement is not met" in shown
     assert "CE90 &lt;= 0.01 px: not met (" in shown
+    assert "px at the check points)" in shown  # not what is expected of all the ground
     assert "points &gt;= 100: met (108)" in shown
+
+
+def test_met_by_the_points_of_ground_that_is_poor(registration: Make) -> None:
+    made = registration()
+    assert made.quality is not None
+    quality = replace(made.quality.at_most("poor", "clouds"), expected_ce90_px=1.94)
+    doubtful = replace(made, quality=quality)
+    found = judged(doubtful, "CE90<=1px")
+    assert found.met
+    assert found.text.endswith(
+        "px at the check points; but the registration is poor, and 90 % of the ground is expected to lie "
+        "within 1.94 px)"
+    )
+    assert judged(made, "CE90<=1px").caveat is None
+    assert judged(doubtful, "CE90<=0.01px").caveat is None  # it is not met in any case
+    assert judged(doubtful, "quality>=poor").caveat is None  # the grade itself was asked for
+    assert judged(doubtful, "points>=1").caveat is None
+    report = summarise(replace(doubtful, requirements=(found,)), [])
+    shown = page.report_page(report, page.compose(doubtful, report, None))
+    assert '<li class="caution"><strong><span class="mark">!</span> CE90 &lt;= 1 px' in shown
+    ending = Outcome(plain(report), {"numbers": Path("report.json")}).text()
+    assert ending.splitlines()[-2] == "PASSED at the tie points of a poor registration"

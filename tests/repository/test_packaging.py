@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import runpy
 import sys
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 import pcwlad_geo
 
@@ -23,7 +25,7 @@ else:
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
-CONDA_NAMES = {"matplotlib": "matplotlib-base", "opencv-python-headless": "py-opencv"}
+CONDA_NAMES = {"opencv-python-headless": "py-opencv"}
 KERNELS = {".so", ".dylib", ".dll"}
 """Suffixes of what is compiled from `kernels/`."""
 RAISED_FOR_CONDA = {"py-opencv"}
@@ -39,6 +41,30 @@ def asked_for() -> dict[str, SpecifierSet]:
     """Return what the package needs, by its name on conda-forge."""
     needed = [Requirement(each) for each in PROJECT["project"]["dependencies"]]
     return {CONDA_NAMES.get(each.name, each.name): each.specifier for each in needed}
+
+
+def imported() -> set[str]:
+    """Return the top-level modules that the package imports, anywhere in it."""
+    statement = re.compile(r"^ *(?:from (\w+)[\w.]* import |import (\w+))", re.M)
+    texts = (path.read_text(encoding="utf-8") for path in (REPOSITORY / "pcwlad_geo").rglob("*.py"))
+    names = {match[1] or match[2] for text in texts for match in statement.finditer(text)}
+    return names - {"pcwlad_geo", *sys.stdlib_module_names}
+
+
+def test_the_package_depends_on_what_it_imports_and_on_nothing_else() -> None:
+    distributions = {
+        module: {canonicalize_name(name) for name in names}
+        for module, names in packages_distributions().items()
+    }
+    project = PROJECT["project"]
+    required = {canonicalize_name(Requirement(line).name) for line in project["dependencies"]}
+    extras = [line for lines in project["optional-dependencies"].values() for line in lines]
+    optional = {canonicalize_name(Requirement(line).name) for line in extras}
+    by_module = {module: distributions.get(module, {module}) for module in imported()}
+    undeclared = {module for module, names in by_module.items() if not names & (required | optional)}
+    assert undeclared == {"markupsafe"}, "which comes with Jinja2, as a part of its interface"
+    installed = {name for names in distributions.values() for name in names}
+    assert (required & installed) - {name for names in by_module.values() for name in names} == set()
 
 
 def listed(lines: list[Any]) -> dict[str, SpecifierSet]:

@@ -23,6 +23,9 @@ GATES = {
     "the quality of real bands": "multi/test_qa.py::test_real_bands",
     "a job that is killed": "execution/test_faults.py::"
     "test_a_killed_job_leaves_nothing_under_a_final_name_and_can_be_started_again",
+    "files that made stacks, rigs and edits fail": "fuzz/test_hostile_capabilities.py::"
+    "test_hostile_capabilities_end_with_a_sentence",
+    "small cases of the field": "fuzz/test_field_cases.py::test_the_field_is_met",
     "a cluster": "execution/test_faults.py::test_a_cluster_gives_the_same_points",
 }
 """What a change may break that no quick test covers from end to end, and the slow test of it."""

@@ -23,8 +23,9 @@ from benchmarks.rig_scenes import (
     write_capture,
 )
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.learning import measure_sharpness
-from pcwlad_geo.rigs.rig import Rig, RigLens, lattice
+from pcwlad_geo.rigs.inspection import measure_sharpness
+from pcwlad_geo.rigs.lens import lattice
+from pcwlad_geo.rigs.rig import Rig, RigLens
 from pcwlad_geo.types import Float64
 
 SHAPE = (240, 320)

@@ -17,8 +17,8 @@ from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.rigs.captures import Capture, find_frames, group
-from pcwlad_geo.rigs.learning import inspect
-from pcwlad_geo.rigs.run import _agreeing
+from pcwlad_geo.rigs.inspection import inspect
+from pcwlad_geo.rigs.learning_run import _agreeing
 from tests.rigs import rigs
 
 RIG = rigs.lenses()
@@ -104,7 +104,13 @@ def test_a_colour_picture_beside_the_frames_of_a_capture_is_left_aside(tmp_path:
 
 @pytest.mark.parametrize(
     ("relief_m", "times", "grade"),
-    [(1.0, 1, "good"), (4.0, 12, "good"), (10.0, 12, "fair"), (10.0, 30, "poor"), (10.0, 60, None)],
+    [
+        pytest.param(1.0, 1, "good", marks=pytest.mark.slow),
+        (4.0, 12, "good"),
+        pytest.param(10.0, 12, "fair", marks=pytest.mark.slow),
+        pytest.param(10.0, 30, "poor", marks=pytest.mark.slow),
+        (10.0, 60, None),
+    ],
 )
 def test_a_scene_of_depth_has_the_grade_of_its_true_errors(
     tmp_path: Path, relief_m: float, times: float, grade: str | None

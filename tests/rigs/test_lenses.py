@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.rigs.captures import stated_lens
-from pcwlad_geo.rigs.rig import Lens, homography_residual, lattice
+from pcwlad_geo.rigs.calibration import stated_lens
+from pcwlad_geo.rigs.lens import Lens, homography_residual, lattice
 
 SHAPE = (480, 640)
 BROWN = Lens("brown", SHAPE, np.array([720.0, 315.0, 246.0, -0.1, 0.14, -0.02, 4e-4, -3e-4]))

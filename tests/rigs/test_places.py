@@ -14,9 +14,9 @@ import pytest
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.outputs.folder import lock_folder
 from pcwlad_geo.rigs.adjustment import Adjusted, RigState
-from pcwlad_geo.rigs.applying import _sigma_px
+from pcwlad_geo.rigs.applying_run import NUMBERS, SUMMARY, rig_apply
+from pcwlad_geo.rigs.placing import _sigma_px
 from pcwlad_geo.rigs.rig import Rig
-from pcwlad_geo.rigs.run import NUMBERS, SUMMARY, rig_apply
 
 SEEDS = Path(__file__).resolve().parents[2] / "fuzz" / "corpus" / "seeds"
 

@@ -13,8 +13,9 @@ import pytest
 from benchmarks.rig_scenes import Flown, TrueLens, ground_points, lens_rays, made_rig, made_thermal, seen_by
 from pcwlad_geo.rigs.adjustment import Observations
 from pcwlad_geo.rigs.captures import group
-from pcwlad_geo.rigs.learning import MARGIN_SHARE, WINDOW_SHARE, _Task, match_task
-from pcwlad_geo.rigs.rig import Lens, lattice
+from pcwlad_geo.rigs.lens import Lens, lattice
+from pcwlad_geo.rigs.lens_matching import LensTask, match_task
+from pcwlad_geo.rigs.parameters import LEARNING
 from pcwlad_geo.types import Float64
 from tests.rigs.rigs import flown, ground, write
 
@@ -49,7 +50,9 @@ def seen_and_true(
     )
     frames = found.frames[reference.name], found.frames[lens.name]
     plane = plane_of(reference, capture, down_m)
-    task = _Task(0, 1, 1, *frames, (reference.lens, expected), pose, plane, side_px, 4, WINDOW_SHARE[1])
+    task = LensTask(
+        0, 1, 1, *frames, (reference.lens, expected), pose, plane, side_px, 4, LEARNING.window_share[1]
+    )
     points = match_task(task)
     assert points is not None
     down, place = lens_rays(reference, capture, points.reference_px)
@@ -82,7 +85,7 @@ def test_a_lens_of_few_px_is_matched_up_to_its_edges(tmp_path: Path) -> None:
     side_px = round(max(rig[0].lens.shape) * lens.focal_px / rig[0].lens.focal_px)
     points, true_px, _ = seen_and_true(tmp_path, rig, flown(45.0), lens, side_px)
     from_edge = np.minimum(points.lens_px, np.array(lens.shape[::-1]) - points.lens_px).min(axis=1)
-    near = from_edge < MARGIN_SHARE * LEAST_WINDOW_PX
+    near = from_edge < LEARNING.margin_share * LEAST_WINDOW_PX
     assert near.sum() > 10
     assert np.median(np.hypot(*(points.lens_px - true_px)[near].T)) < 0.5
 

@@ -18,6 +18,7 @@ from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.raster.gdal import ignoring
 from tests.rigs import rigs
+from tests.scenes import write as write_raster
 
 RIG = rigs.lenses()
 GOOD = {"GOOD_1": 40.0, "GOOD_2": 30.0, "GOOD_3": 58.0}
@@ -45,6 +46,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rigs.write(folder, "BAD_cover", RIG, rigs.flown(40.0, covered=RIG[1].name))
     rigs.write(folder, "BAD_panel", RIG, rigs.flown(1.0, panel=True))
     rigs.write(folder, "BAD_lens", RIG[:2], rigs.flown(40.0))
+    write_raster(folder / "figure_A.png", np.full((90, 130), 9.0), None, driver="PNG", dtype="uint8")
     return folder
 
 
@@ -68,6 +70,10 @@ def test_good_captures_are_corrected_and_bad_ones_are_named(applied: pg.RigAppli
     assert "blurred" in reasons["BAD_blur"]
     assert RIG[1].name in reasons["BAD_cover"]
     assert status["BAD_panel"] == "rejected"
+    assert "figure" not in status
+    assert [(Path(file).name, reason[:10]) for file, reason in applied.unread] == [
+        ("figure_A.png", "left aside")
+    ]
 
 
 def test_every_lens_is_read_where_it_sees_the_ground(applied: pg.RigApplied, known: pg.Rig) -> None:
@@ -116,7 +122,7 @@ def test_what_is_done_is_not_done_again(
 ) -> None:
     before = {file.name: file.stat().st_mtime_ns for file in applied.out_dir.glob("*.tif")}
     good = [file for name in GOOD for file in sorted(frames.glob(f"{name}_*"))]
-    monkeypatch.setattr("pcwlad_geo.rigs.run.correct_capture", None)
+    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.correct_capture", None)
     again = pg.rig_apply(known, good, out_dir=applied.out_dir, executor=InThisProcess())
     assert all(each.done_before for each in again.captures)
     assert {file.name: file.stat().st_mtime_ns for file in applied.out_dir.glob("*.tif")} == before
@@ -126,8 +132,8 @@ def test_captures_of_all_parts_of_a_long_flight_are_corrected(
     known: pg.Rig, frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The summary that is written after each part leaves the rasters of the next a place."""
-    monkeypatch.setattr("pcwlad_geo.rigs.run.CHUNK", 1)
-    monkeypatch.setattr("pcwlad_geo.rigs.run.available_cores", lambda: 1)
+    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.CHUNK", 1)
+    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.available_cores", lambda: 1)
     good = [file for name in GOOD for file in sorted(frames.glob(f"{name}_*"))]
     found = pg.rig_apply(known, good, out_dir=tmp_path, executor=InThisProcess())
     assert found.count("corrected") == len(GOOD) > 1

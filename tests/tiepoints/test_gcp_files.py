@@ -10,7 +10,8 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints.envi import write_envi
+from pcwlad_geo.tiepoints.qgis_points import write_points
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 UTM = CRS.from_epsg(32633)
@@ -42,7 +43,7 @@ def rows(path: Path, header_lines: int) -> list[list[float]]:
 
 def test_points_of_a_georeferenced_target_are_in_layer_coordinates(tmp_path: Path) -> None:
     """Residuals are predicted minus observed pixels (col, row), as the Georeferencer's table has them."""
-    writers.write_points(table(UTM), tmp_path / "t.points", True, TARGET)
+    write_points(table(UTM), tmp_path / "t.points", True, TARGET)
     first, second = (tmp_path / "t.points").read_text().splitlines()[:2]
     assert first.startswith("#CRS: ")
     assert CRS.from_wkt(first.removeprefix("#CRS: ")) == UTM
@@ -55,13 +56,13 @@ def test_points_of_a_georeferenced_target_are_in_layer_coordinates(tmp_path: Pat
 
 
 def test_points_of_a_plain_target_are_pixels_with_y_up(tmp_path: Path) -> None:
-    writers.write_points(table(None), tmp_path / "t.points", False, Grid((100, 100), Affine.identity(), None))
+    write_points(table(None), tmp_path / "t.points", False, Grid((100, 100), Affine.identity(), None))
     assert (tmp_path / "t.points").read_text().startswith("mapX,")
     assert rows(tmp_path / "t.points", 1)[0] == [10.5, -20.5, 11.25, -19.5, 1, -0.3, 0.4, pytest.approx(0.5)]
 
 
 def test_envi_counts_from_one_and_leaves_rejected_points_out(tmp_path: Path) -> None:
-    writers.write_envi(table(UTM), tmp_path / "t.pts", "a & b.tif", "é.tif")
+    write_envi(table(UTM), tmp_path / "t.pts", "a & b.tif", "é.tif")
     lines = (tmp_path / "t.pts").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "; ENVI Image to Image GCP File"
     assert lines[1:3] == ["; base file: a & b.tif", "; warp file: é.tif"]

@@ -16,10 +16,12 @@ import shapely
 from pyproj import Geod
 from rasterio.crs import CRS
 
-from pcwlad_geo.errors import OutputError
+from pcwlad_geo.errors import InputError, OutputError, TrustError
 from pcwlad_geo.raster.crs import displacement_m
-from pcwlad_geo.tiepoints import writers
-from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.raster.trust.permissions import Trust, trusting
+from pcwlad_geo.tiepoints import geopackage
+from pcwlad_geo.tiepoints.readers import read_point_file
+from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable
 
 
 def table(crs: CRS | None, xy: np.ndarray, displacement_m: np.ndarray) -> TiePointTable:
@@ -53,7 +55,7 @@ UTM_TABLE = table(
 
 def test_points_lines_and_attributes(tmp_path: Path) -> None:
     path = tmp_path / "tiepoints.gpkg"
-    writers.write_geopackage(UTM_TABLE, path)
+    geopackage.write_geopackage(UTM_TABLE, path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         layers = [name for name, kind in pyogrio.list_layers(path) if kind]
@@ -62,7 +64,7 @@ def test_points_lines_and_attributes(tmp_path: Path) -> None:
     assert CRS.from_user_input(meta["crs"]) == UTM_TABLE.crs
     assert shapely.get_coordinates(shapely.from_wkb(geometry)) == pytest.approx(UTM_TABLE.xy)
     values = dict(zip(meta["fields"], fields, strict=True))
-    assert tuple(values) == writers.COLUMNS
+    assert tuple(values) == COLUMNS
     assert list(values["id"]) == [1, 2, 3]
     assert list(values["status"]) == ["fit", "check", "rejected"]
     assert values["d_row"] == pytest.approx([-0.5] * 3)
@@ -74,14 +76,46 @@ def test_points_lines_and_attributes(tmp_path: Path) -> None:
     )
 
 
+def changed(path: Path, statements: str) -> Path:
+    geopackage.write_geopackage(UTM_TABLE, path)
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(statements)
+    return path
+
+
+ENDLESS = """DROP TABLE tie_points; CREATE VIEW tie_points AS
+WITH RECURSIVE numbers(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM numbers) SELECT id, {} FROM numbers
+WHERE id < 0"""
+
+
+def test_a_query_of_a_stranger_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = ", ".join(f"0.0 AS {name}" for name in COLUMNS[1:])
+    path = changed(tmp_path / "endless.gpkg", ENDLESS.format(columns))
+    with pytest.raises(TrustError, match=r"the view 'tie_points', a query that may never end.*--trust-vrt"):
+        read_point_file(path)
+    monkeypatch.setattr("pcwlad_geo.raster.vectors.READING_S", 0.2)
+    with trusting(Trust(vrt=True)), pytest.raises(InputError, match="interrupted"):
+        read_point_file(path)
+
+
+LONG = """CREATE TABLE copy AS SELECT * FROM tie_points; DROP TABLE tie_points;
+UPDATE copy SET ref_col = zeroblob(100000000) WHERE id = 2; ALTER TABLE copy RENAME TO tie_points"""
+
+
+def test_a_long_cell_is_no_number(tmp_path: Path) -> None:
+    path = changed(tmp_path / "long.gpkg", LONG)
+    with pytest.raises(InputError, match="1 of 3 points lack a coordinate"):
+        read_point_file(path)
+
+
 def test_feet_and_degrees(tmp_path: Path) -> None:
     feet = table(CRS.from_epsg(2263), np.array([[1e6, 2e5]]), np.array([[3.048, -6.096]]))
-    writers.write_geopackage(feet, tmp_path / "feet.gpkg")
+    geopackage.write_geopackage(feet, tmp_path / "feet.gpkg")
     assert np.diff(lines(tmp_path / "feet.gpkg"), axis=1)[0, 0] == pytest.approx([10.0, -20.0], abs=1e-3)
 
     places = np.array([[359.99995, 60.0], [15.0, -45.0]])
     moved_m = np.array([[30.0, 40.0], [-20.0, 5.0]])
-    writers.write_geopackage(table(CRS.from_epsg(4326), places, moved_m), tmp_path / "degrees.gpkg")
+    geopackage.write_geopackage(table(CRS.from_epsg(4326), places, moved_m), tmp_path / "degrees.gpkg")
     for (start, end), (east, north) in zip(lines(tmp_path / "degrees.gpkg"), moved_m, strict=True):
         azimuth, _, distance = Geod(ellps="WGS84").inv(*start, *end)
         assert distance == pytest.approx(np.hypot(east, north), abs=1e-4)
@@ -91,7 +125,7 @@ def test_feet_and_degrees(tmp_path: Path) -> None:
 
 def test_without_a_crs_lines_lie_in_the_pixel_plane(tmp_path: Path) -> None:
     path = tmp_path / "plain.gpkg"
-    writers.write_geopackage(table(None, np.array([[10.0, -20.0]]), np.full((1, 2), np.nan)), path)
+    geopackage.write_geopackage(table(None, np.array([[10.0, -20.0]]), np.full((1, 2), np.nan)), path)
     assert lines(path)[0].tolist() == [[10.0, -20.0], [10.25, -19.5]]
     with closing(sqlite3.connect(path)) as database:
         assert set(database.execute("SELECT srs_id FROM gpkg_geometry_columns")) == {(-1,)}
@@ -99,7 +133,7 @@ def test_without_a_crs_lines_lie_in_the_pixel_plane(tmp_path: Path) -> None:
 
 def test_every_layer_has_a_default_style(tmp_path: Path) -> None:
     path = tmp_path / "t.gpkg"
-    writers.write_geopackage(UTM_TABLE, path)
+    geopackage.write_geopackage(UTM_TABLE, path)
     with closing(sqlite3.connect(path)) as database:
         styles = database.execute(
             "SELECT f_table_name, f_geometry_column, styleQML FROM layer_styles WHERE useAsDefault = 1"
@@ -127,12 +161,12 @@ def test_a_layer_that_gdal_has_not_written_is_told(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr("pyogrio.raw.write", write_one)
     with pytest.raises(OutputError, match=r"there is no layer tie_points in it; is the disk full\?"):
-        writers.write_geopackage(UTM_TABLE, tmp_path / "t.gpkg")
+        geopackage.write_geopackage(UTM_TABLE, tmp_path / "t.gpkg")
 
 
 def test_the_same_points_make_the_same_file(tmp_path: Path) -> None:
     for name in ("a.gpkg", "b.gpkg"):
-        writers.write_geopackage(UTM_TABLE, tmp_path / name)
+        geopackage.write_geopackage(UTM_TABLE, tmp_path / name)
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gpkg", "b.gpkg"]
 
@@ -140,7 +174,7 @@ def test_the_same_points_make_the_same_file(tmp_path: Path) -> None:
 def test_the_file_does_not_depend_on_how_gdal_laid_out_its_pages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writers.write_geopackage(UTM_TABLE, tmp_path / "a.gpkg")
+    geopackage.write_geopackage(UTM_TABLE, tmp_path / "a.gpkg")
     really = pyogrio.raw.write
 
     def write_with_gaps(path: str, **options: object) -> None:
@@ -151,7 +185,7 @@ def test_the_file_does_not_depend_on_how_gdal_laid_out_its_pages(
             database.execute("DROP TABLE for_a_while")
 
     monkeypatch.setattr("pyogrio.raw.write", write_with_gaps)
-    writers.write_geopackage(UTM_TABLE, tmp_path / "b.gpkg")
+    geopackage.write_geopackage(UTM_TABLE, tmp_path / "b.gpkg")
     assert _without_counters(tmp_path / "a.gpkg") == _without_counters(tmp_path / "b.gpkg")
 
 
@@ -163,13 +197,13 @@ def _without_counters(path: Path) -> bytes:
 
 def test_older_programs_know_its_version(tmp_path: Path) -> None:
     path = tmp_path / "tiepoints.gpkg"
-    writers.write_geopackage(UTM_TABLE, path)
+    geopackage.write_geopackage(UTM_TABLE, path)
     with closing(sqlite3.connect(path)) as database:
         assert database.execute("PRAGMA user_version").fetchone() == (10200,)
 
 
 def test_no_points_and_no_folder(tmp_path: Path) -> None:
-    writers.write_geopackage(UTM_TABLE[:0], tmp_path / "empty.gpkg")
+    geopackage.write_geopackage(UTM_TABLE[:0], tmp_path / "empty.gpkg")
     assert pyogrio.read_info(tmp_path / "empty.gpkg", layer="displacements")["features"] == 0
     with pytest.raises(OutputError, match="nowhere"):
-        writers.write_geopackage(UTM_TABLE, tmp_path / "nowhere" / "t.gpkg")
+        geopackage.write_geopackage(UTM_TABLE, tmp_path / "nowhere" / "t.gpkg")

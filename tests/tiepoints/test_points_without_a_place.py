@@ -14,7 +14,11 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints import geopackage
+from pcwlad_geo.tiepoints.csv_file import write_csv
+from pcwlad_geo.tiepoints.envi import write_envi
+from pcwlad_geo.tiepoints.gcps import write_gcps_vrt
+from pcwlad_geo.tiepoints.qgis_points import write_points
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
 from tests.scenes import write
@@ -49,7 +53,7 @@ def table(lacking: str) -> TiePointTable:
     [("displacement_m", {"displacements"}), ("xy", {"tie_points", "displacements"}), ("target_px", set())],
 )
 def test_the_geopackage_has_no_geometry_for_them(tmp_path: Path, lacking: str, unknown: set[str]) -> None:
-    writers.write_geopackage(table(lacking), tmp_path / "t.gpkg")
+    geopackage.write_geopackage(table(lacking), tmp_path / "t.gpkg")
     for layer in ("tie_points", "displacements"):
         geometry = shapely.from_wkb(pyogrio.raw.read(tmp_path / "t.gpkg", layer=layer)[2])
         assert np.isfinite(shapely.get_coordinates(geometry)).all()
@@ -61,9 +65,9 @@ def test_the_geopackage_has_no_geometry_for_them(tmp_path: Path, lacking: str, u
 def test_control_point_files_leave_them_out(tmp_path: Path, lacking: str) -> None:
     points = table(lacking)
     image = write(tmp_path / "image.tif", np.ones(GRID.shape, np.uint8), GRID, dtype="uint8")
-    writers.write_points(points, tmp_path / "t.points", True, GRID)
-    writers.write_envi(points, tmp_path / "t.pts", "reference.tif", "image.tif")
-    writers.write_gcps_vrt(tmp_path / "t.vrt", image, points, UTM, final_path=tmp_path / "t.vrt")
+    write_points(points, tmp_path / "t.points", True, GRID)
+    write_envi(points, tmp_path / "t.pts", "reference.tif", "image.tif")
+    write_gcps_vrt(tmp_path / "t.vrt", image, points, UTM, final_path=tmp_path / "t.vrt")
     for name in ("t.points", "t.pts"):
         assert len(read_point_file(tmp_path / name).reference) == 2
         assert "nan" not in (tmp_path / name).read_text()
@@ -72,7 +76,7 @@ def test_control_point_files_leave_them_out(tmp_path: Path, lacking: str) -> Non
 
 
 def test_cells_of_the_table_are_empty(tmp_path: Path) -> None:
-    writers.write_csv(table("displacement_m"), tmp_path / "t.csv")
+    write_csv(table("displacement_m"), tmp_path / "t.csv")
     lines = (tmp_path / "t.csv").read_text().splitlines()
     cells = dict(zip(lines[0].split(","), lines[1 + UNKNOWN].split(","), strict=True))
     assert (cells["d_x_m"], cells["d_y_m"], cells["d_col"]) == ("", "", "0.500000")

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 from rasterio.crs import CRS
 
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints import geopackage
+from pcwlad_geo.tiepoints.qgis_styles import COLOURS, LIMITS_PX, arrows_style, enlargement, points_style
 from pcwlad_geo.tiepoints.table import TiePointTable
-from pcwlad_geo.tiepoints.writers import COLOURS, LIMITS_PX, arrows_style, enlargement, points_style
 
 DRAWS = Path(__file__).with_name("draw_with_qgis.py")
 SIDE_M = 6000.0
@@ -101,7 +101,7 @@ def test_qgis_draws_arrows_that_point_where_the_target_moved(tmp_path: Path) -> 
         pytest.skip("no QGIS")
     made = table(np.array([[10.0, 0.0], [0.0, 10.0]]), np.array([[0.05, 0.0], [0.0, 0.7]]), ["fit", "check"])
     path = tmp_path / "tiepoints.gpkg"
-    writers.write_geopackage(made, path)
+    geopackage.write_geopackage(made, path)
     frame = [500000.0, 4600000.0, 500000.0 + SIDE_M, 4600000.0 + SIDE_M]
     command = [python, DRAWS, path, tmp_path, *map(str, frame)]
     told = subprocess.run(command, capture_output=True, text=True, check=True)

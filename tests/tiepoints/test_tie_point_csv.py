@@ -10,7 +10,7 @@ import pytest
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.tiepoints import writers
+from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
 from tests.tables import read_table
@@ -40,7 +40,7 @@ def table(n: int = 40, crs: CRS | None = None) -> TiePointTable:
 
 def test_what_was_written_is_read_back(tmp_path: Path) -> None:
     written = table()
-    writers.write_csv(written, tmp_path / "tiepoints.csv")
+    write_csv(written, tmp_path / "tiepoints.csv")
     read = read_table(tmp_path / "tiepoints.csv", CRS.from_epsg(32633))
     for name in ("reference_px", "target_px", "predicted_px", "displacement_m", "residual_px", "score"):
         assert np.abs(getattr(read, name) - getattr(written, name)).max() < 1.1e-6, name
@@ -63,7 +63,7 @@ def test_the_text_is_exactly_this(tmp_path: Path) -> None:
         status=np.array(["matched"]),
         crs=None,
     )
-    writers.write_csv(one, tmp_path / "t.csv")
+    write_csv(one, tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_bytes().decode() == (
         HEADER + "\n1,10.500000,20.250000,11.000000,19.000000,500000.1,-33.123456789012,0.250000,0.000000,,,"
         "0.200000,0.300000,0.166667,0.500000,0.000000,,matched\n"
@@ -71,13 +71,13 @@ def test_the_text_is_exactly_this(tmp_path: Path) -> None:
 
 
 def test_an_empty_table_is_a_header(tmp_path: Path) -> None:
-    writers.write_csv(table()[:0], tmp_path / "t.csv")
+    write_csv(table()[:0], tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text() == HEADER + "\n"
 
 
 def test_correlations_are_read_back_and_lie_within_one(tmp_path: Path) -> None:
     covariance_px2 = np.array([[[0.04, -0.03], [-0.03, 0.09]], [[0.01, 0.0], [0.0, 0.04]]])
-    writers.write_csv(replace(table(2), covariance_px2=covariance_px2), tmp_path / "t.csv")
+    write_csv(replace(table(2), covariance_px2=covariance_px2), tmp_path / "t.csv")
     np.testing.assert_allclose(read_point_file(tmp_path / "t.csv").correlation, [-0.5, 0.0], atol=1e-6)
     text = "ref_col,ref_row,tgt_col,tgt_row,sigma_col,sigma_row,correlation\n1,2,3,4,.1,.1,{}\n"
     for cell, value in (("", 0.0), ("1", 0.999999)):

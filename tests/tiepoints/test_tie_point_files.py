@@ -20,8 +20,11 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.tiepoints import writers
-from pcwlad_geo.tiepoints.readers import read_tie_points
+from pcwlad_geo.tiepoints.csv_file import write_csv
+from pcwlad_geo.tiepoints.envi import write_envi
+from pcwlad_geo.tiepoints.gcps import write_gcps_vrt
+from pcwlad_geo.tiepoints.pair_points import read_tie_points
+from pcwlad_geo.tiepoints.qgis_points import write_points
 from pcwlad_geo.tiepoints.table import TiePointTable, place
 from tests.scenes import make_grid, write
 
@@ -62,13 +65,13 @@ def write_as(kind: str, table: TiePointTable, pair: ViewPair, folder: Path) -> P
     target, reference = pair.target.info, pair.reference.info
     path = folder / {"csv": "t.csv", "qgis": "t.points", "envi": "t.pts", "gcps": "t_gcps.vrt"}[kind]
     if kind == "csv":
-        writers.write_csv(table, path)
+        write_csv(table, path)
     elif kind == "qgis":
-        writers.write_points(table, path, target.georeferenced, target.grid)
+        write_points(table, path, target.georeferenced, target.grid)
     elif kind == "envi":
-        writers.write_envi(table, path, reference.uri, target.uri)
+        write_envi(table, path, reference.uri, target.uri)
     else:
-        writers.write_gcps_vrt(path, target.uri, table, table.crs, final_path=path)
+        write_gcps_vrt(path, target.uri, table, table.crs, final_path=path)
     return path
 
 
@@ -174,7 +177,7 @@ def test_pixels_instead_of_layer_coordinates_are_understood(pair: ViewPair, tmp_
     """As programs write them that do not ask whether the source is georeferenced."""
     table = make_table(pair)
     path = tmp_path / "t.points"
-    writers.write_points(table, path, False, TARGET)
+    write_points(table, path, False, TARGET)
     check_same(read_tie_points(path, pair), table)
 
 

@@ -10,7 +10,7 @@ import platform
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from ctypes import CDLL, Structure, c_double, c_float, c_int64, c_void_p
+from ctypes import CDLL, c_double, c_float, c_int64, c_void_p
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -30,9 +30,16 @@ SYSTEMS: Final = {"darwin": "macos", "win32": "windows"}
 """Names of systems that Python calls otherwise."""
 PROCESSORS: Final = {"amd64": "x86_64", "arm64": "aarch64"}
 """Names of processors that some systems call otherwise."""
+POINTER: Final = c_void_p
+"""Type of an array, see `address`, or of a structure."""
+WHOLE: Final = c_int64
+"""Type of a whole number."""
+REAL: Final = c_double
+"""Type of a float64."""
+SINGLE: Final = c_float
+"""Type of a float32."""
 
 Function = Callable[..., int | None]
-Parameter = TypeVar("Parameter", bound=Structure)
 Value = TypeVar("Value")
 
 
@@ -49,28 +56,12 @@ def version() -> str:
 def function(name: str, *parameters: Any, returns: Any = None) -> Function:  # noqa: ANN401
     """Return a function of the library.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    *parameters : ctypes types
-        Types of its parameters: `POINTER` for an array, `WHOLE`, `REAL` and `SINGLE` for numbers.
-    returns : ctypes type, optional
-        Type of its result.
+    Types of its `parameters` are `POINTER` for an array, `WHOLE`, `REAL` and `SINGLE` for numbers; `returns`
+    is that of its result.
     """
-    found = _library()[name]
-    found.argtypes, found.restype = parameters, returns
-    return found
-
-
-POINTER: Final = c_void_p
-"""Type of an array, see `address`, or of a structure."""
-WHOLE: Final = c_int64
-"""Type of a whole number."""
-REAL: Final = c_double
-"""Type of a float64."""
-SINGLE: Final = c_float
-"""Type of a float32."""
+    compiled = _library()[name]
+    compiled.argtypes, compiled.restype = parameters, returns
+    return compiled
 
 
 @lru_cache
@@ -86,18 +77,9 @@ def _library() -> CDLL:
 
 
 def address(array: NDArray[Any], dtype: Any) -> int:  # noqa: ANN401
-    """Return where the numbers of a C-contiguous array of a type begin.
+    """Return where the numbers of an (n, …) C-contiguous `array` of a type begin; it must live as long.
 
-    Parameters
-    ----------
-    array : (n, …) array
-        It must live as long as the address is used.
-    dtype : numpy type
-
-    Raises
-    ------
-    TypeError
-        If the array is another one: the library would read something else.
+    Raises `TypeError` if the array is another one: the library would read something else.
     """
     if array.dtype != dtype or not array.flags.c_contiguous:
         raise TypeError(
@@ -110,13 +92,13 @@ def address(array: NDArray[Any], dtype: Any) -> int:  # noqa: ANN401
 @lru_cache
 def fast_even(least: int) -> int:
     """Return the smallest even length from `least` on that is transformed fast: of factors 2, 3 and 5."""
-    found = 1 << max(least - 1, 1).bit_length()
+    length = 1 << max(least - 1, 1).bit_length()
     for fives in range(14):
         for threes in range(20):
             odd = 5**fives * 3**threes
-            if odd < found:
-                found = min(found, odd << max(-(-least // odd) - 1, 1).bit_length())
-    return found
+            if odd < length:
+                length = min(length, odd << max(-(-least // odd) - 1, 1).bit_length())
+    return length
 
 
 def roots_of_unity(length: int) -> Complex64:

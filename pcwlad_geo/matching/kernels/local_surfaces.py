@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ctypes import Structure, byref
+from dataclasses import astuple, dataclass
 from functools import partial
 from typing import Final
 
@@ -11,14 +12,23 @@ import numpy as np
 from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function, in_threads, shares
 from pcwlad_geo.types import Bool, Float64, Index
 
-ROUNDS: Final = 4
-"""Number of reweighted fits of a surface."""
-RIDGE: Final = 1e-6
-"""Relative ridge on all terms but the constant: neighbours on a line do not determine the slope across it."""
-TINY: Final = 1e-12
-"""Ridge on all terms, which keeps the normal matrix invertible."""
-MIN_SCALE_PX: Final = 1e-6
-"""Least scale of the residuals, which keeps the weights finite where the fit is exact."""
+
+@dataclass(frozen=True, slots=True)
+class SurfaceLimits:
+    """Limits of the reweighted fits of a surface."""
+
+    rounds: int = 4
+    """Number of fits."""
+    ridge: float = 1e-6
+    """Relative ridge on all terms but the constant: neighbours on a line leave the slope across it open."""
+    tiny: float = 1e-12
+    """Ridge on all terms, which keeps the normal matrix invertible."""
+    min_scale_px: float = 1e-6
+    """Least scale of the residuals, which keeps the weights finite where the fit is exact."""
+
+
+LIMITS: Final = SurfaceLimits()
+"""Those in use."""
 
 
 class _SurfaceLimits(Structure):
@@ -40,39 +50,30 @@ def fit_surfaces(
 ) -> None:
     """Fit a robust surface to the displacements of the usable neighbours of each place.
 
-    Parameters
-    ----------
-    xy_px, displacement_px : (m, 2) float64 arrays
-        Positions and displacements (col, row) of the points.
-    at_xy_px : (n, 2) float64 array
-        Places (col, row).
-    neighbours, usable : (n, k) intp and bool arrays
-        Indices of points near each place, and which of them take part.
-    order : int
-        1: a plane, 2: a quadratic surface.
-    value, slope, scale, leverage : (n, 2), (n, 2, 2), (n,), (n,) float64 arrays
-        Filled with the surface at the place, its derivatives (component, by x and y), the median distance
-        from it, and the variance of the value over that of one neighbour. Unchanged where there are fewer
-        than two neighbours for each term.
-    threads : int
-        Number of threads that share the places.
+    The points have (m, 2) positions `xy_px` and (m, 2) displacements `displacement_px` (col, row), the places
+    are the (n, 2) `at_xy_px`; all are float64. The (n, k) intp `neighbours` are indices of points near each
+    place, of which the (n, k) bool `usable` take part. The `order` is 1 for a plane, 2 for a quadratic
+    surface. Filled are, in float64, (n, 2) `value`, the surface at the place, (n, 2, 2) `slope`, its
+    derivatives (component, by x and y), (n,) `scale`, the median distance from it, and (n,) `leverage`, the
+    variance of the value over that of one neighbour. They stay where there are fewer than two neighbours for
+    each term.
     """
     n, most = neighbours.shape
-    limits = _SurfaceLimits(ROUNDS, RIDGE, TINY, MIN_SCALE_PX)
+    limits = _SurfaceLimits(*astuple(LIMITS))
     neighbours, usable = np.ascontiguousarray(neighbours, np.int64), np.ascontiguousarray(usable)
 
-    def fit_some(some: slice) -> None:
+    def fit_some(part: slice) -> None:
         memory = np.empty(10 * most)
         function("fit_surfaces", *5 * [POINTER], *3 * [WHOLE], *6 * [POINTER])(
-            *(address(array, np.float64) for array in (xy_px, displacement_px, at_xy_px[some])),
-            address(neighbours[some], np.int64),
-            address(usable[some], np.bool_),
-            len(neighbours[some]),
+            *(address(array, np.float64) for array in (xy_px, displacement_px, at_xy_px[part])),
+            address(neighbours[part], np.int64),
+            address(usable[part], np.bool_),
+            len(neighbours[part]),
             most,
             order,
             byref(limits),
             address(memory, np.float64),
-            *(address(array[some], np.float64) for array in (value, slope, scale, leverage)),
+            *(address(array[part], np.float64) for array in (value, slope, scale, leverage)),
         )
 
-    in_threads([partial(fit_some, some) for some in shares(n, threads)], threads)
+    in_threads([partial(fit_some, part) for part in shares(n, threads)], threads)

@@ -14,22 +14,13 @@ import numpy as np
 import scipy.fft
 
 from pcwlad_geo.matching.kernels.library import POINTER, SINGLE, WHOLE, address, function, roots_of_unity
+from pcwlad_geo.matching.paper import PAPER
 from pcwlad_geo.types import Complex64, Float32, Float64, Index
 
 SCALES: Final = 4
 """Number of scales of the filters."""
 ORIENTATIONS: Final = 6
 """Number of orientations of the filters, π / 6 apart."""
-MIN_WAVELENGTH_PX: Final = 3.0
-"""Wavelength of the finest scale."""
-WAVELENGTH_FACTOR: Final = 1.6
-"""Ratio of the wavelengths of successive scales."""
-SIGMA_ON_F: Final = 0.75
-"""Ratio of the standard deviation of a log-Gabor filter to its centre frequency."""
-LOW_PASS_CUT_OFF: Final = 0.45
-"""Cut-off frequency of the low-pass filter, cycles per pixel."""
-LOW_PASS_POWER: Final = 30
-"""Exponent of the low-pass filter."""
 NEGLIGIBLE: Final = 1e-7
 """Transfer that counts as zero, below the rounding of float32."""
 LANES: Final = 8
@@ -60,11 +51,13 @@ def filter_bank(n: int, m: int) -> FilterBank:
     radius = np.hypot(along[:, None], across)
     radius[0, 0] = 1.0
     log_radius = np.log(radius)
-    low_pass = 1.0 / (1.0 + np.exp(LOW_PASS_POWER * (log_radius - np.log(LOW_PASS_CUT_OFF))))
+    low_pass = 1.0 / (1.0 + np.exp(PAPER.low_pass_power * (log_radius - np.log(PAPER.low_pass_cut_off))))
     radial = np.empty((SCALES, *radius.shape), np.float32)
     for scale in range(SCALES):
-        log_centre = -np.log(MIN_WAVELENGTH_PX * WAVELENGTH_FACTOR**scale)
-        radial[scale] = low_pass * np.exp(-((log_radius - log_centre) ** 2) / (2 * np.log(SIGMA_ON_F) ** 2))
+        log_centre = -np.log(PAPER.least_wavelength_px * PAPER.wavelength_factor**scale)
+        radial[scale] = low_pass * np.exp(
+            -((log_radius - log_centre) ** 2) / (2 * np.log(PAPER.sigma_on_f) ** 2)
+        )
     radial[:, 0, 0] = 0.0
     reach = [int(np.flatnonzero(cols > NEGLIGIBLE).max(initial=-1)) + 1 for cols in radial.max(axis=1)]
     return FilterBank(
@@ -97,26 +90,12 @@ def frequencies(length: int) -> Float64:
 def wedge(orientation: int, axis: int, shape: tuple[int, int]) -> tuple[Float32, Float32] | None:
     """Describe an angular filter in the half plane of positive frequencies along an image axis.
 
-    Parameters
-    ----------
-    orientation : int
-        Index of the filter; its direction is orientation · π/6 from the column axis towards smaller rows.
-    axis : int
-        Image axis whose frequencies are halved, 0 or 1.
-    shape : (int, int)
-        Rows, columns of the image.
-
-    Returns
-    -------
-    (n // 2 + 1,) and (m,) float32 arrays, or None
-        Parts of the frequency vector along the filter's direction, from the halved axis and from the other:
-        their sum over the radius is the cosine of the angle between the two. None where the filter
-        does not fit into this half plane.
-
-    Notes
-    -----
-    A filter that lies in the other half plane is rotated by 180°. That changes the sign of the odd response,
-    on which phase congruency does not depend.
+    The filter of index `orientation` points orientation · π/6 from the column axis towards smaller rows. In
+    the image of `shape` (rows, columns) the frequencies along `axis` are halved, 0 or 1. Returned are two
+    float32 arrays, (n // 2 + 1,) and (m,), parts of the frequency vector along the filter's direction from
+    the halved axis and from the other: their sum over the radius is the cosine of the angle between the two.
+    None where the filter does not fit into this half plane. One that lies in the other half plane is turned
+    by 180°: that changes the sign of the odd response, on which phase congruency does not depend.
     """
     theta = orientation * np.pi / ORIENTATIONS
     direction = -np.sin(theta), np.cos(theta)
@@ -133,14 +112,6 @@ def wedge(orientation: int, axis: int, shape: tuple[int, int]) -> tuple[Float32,
     )
 
 
-SPREAD_CUT_OFF: Final = 0.5
-"""Frequency spread at which the weight of the phase congruency is one half."""
-SPREAD_GAIN: Final = 3.0
-"""Gain of the sigmoid that weights the phase congruency by the frequency spread."""
-MOMENT_EPSILON: Final = 1e-4
-"""The ε that is added to the maximum moment, as in the authors' maps."""
-
-
 class _Filtered(Structure):
     _fields_ = (*((f"array_{number}", POINTER) for number in range(7)), *((name, WHOLE) for name in "nmw"))
 
@@ -154,19 +125,11 @@ def oriented_map(
 ) -> None:
     """Compute the phase congruency of one orientation (Kovesi 1999), 0 to 1.
 
-    Parameters
-    ----------
-    spectrum : two (m, width) float32 arrays
-        Real and imaginary part of the spectrum of an image of (n, m) pixels, by frequency along m, and along
-        n without the negative ones, see `filled_up`.
-    bank : FilterBank
-        For (n, m).
-    direction : (n // 2 + 1,) and (m,) float32 arrays
-        See `wedge`.
-    epsilon : float
-        Positive, in units of the image (see `maps.scene_epsilon`).
-    out : (rows, cols) float32 array
-        Filled; at most (n, m), of any strides.
+    The `spectrum` of an image of (n, m) pixels is two (m, width) float32 arrays, real and imaginary part, by
+    frequency along m, and along n without the negative ones (see `filled_up`); `bank` is for (n, m), and the
+    `direction`, two float32 arrays (n // 2 + 1,) and (m,), from `wedge`. The `epsilon` is positive, in units
+    of the image (see `maps.scene_epsilon`). The (rows, cols) float32 array `out` is filled; it is at most (n,
+    m), of any strides.
     """
     across, along = filled_up(direction[0]), direction[1]
     m, width = spectrum[0].shape
@@ -179,8 +142,8 @@ def oriented_map(
         byref(_Filtered(*places, n, m, width)),
         address(bank.roots, np.complex64),
         epsilon,
-        SPREAD_CUT_OFF,
-        SPREAD_GAIN,
+        PAPER.spread_cut_off,
+        PAPER.spread_gain,
         address(memory, np.float32),
         *out.shape,
         *(stride // out.itemsize for stride in out.strides),
@@ -197,7 +160,7 @@ def combine_orientations(maps: Float32, coefficients: Float32, out: Float32) -> 
     function("combine_orientations", POINTER, POINTER, SINGLE, WHOLE, POINTER)(
         address(maps, np.float32),
         address(coefficients, np.float32),
-        MOMENT_EPSILON,
+        PAPER.moment_epsilon,
         out.size,
         address(out, np.float32),
     )

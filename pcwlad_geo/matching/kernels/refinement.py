@@ -6,6 +6,7 @@ It is Gauss-Newton with robust and structure weights.
 from __future__ import annotations
 
 from ctypes import Structure, byref
+from dataclasses import astuple, dataclass, fields
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,11 +15,37 @@ from numpy.typing import NDArray
 from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function
 from pcwlad_geo.types import Bool, Float32, Float64
 
+Int64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class IterationLimits:
+    """Limits of the moves of a point from step to step."""
+
+    longest_step_px: float = 1.0
+    """Largest length of a move."""
+    largest_relaxation: float = 20.0
+    """Largest ratio of a move to the plain step."""
+    min_slope: float = 0.08
+    """Least slope of the plain step; below it the weights follow the window to any position."""
+    near_px: float = 0.1
+    """Length below which the last move but one must be, as a single short move may be chance."""
+    settling_px: float = 0.25
+    """Length from which a move after `settled_after` gives the window up: moves to a match get shorter."""
+    sigma_per_mean_deviation: float = 1.2533
+    """Standard deviation of a normal distribution over its mean absolute deviation, √(π / 2)."""
+    settled_after: int = 3
+    """Number of moves before that."""
+    patience: int = 6
+    """Number of steps after which a window is given up whose slope is below half of `min_slope`."""
+
+
+LIMITS: Final = IterationLimits()
+"""Those in use."""
 LANES: Final = 16
 """A row of a flat window is a multiple of this, so that rows begin on cache lines."""
 EXTRA_TAPS: Final = 3
 """Number of spline coefficients that a window needs beyond its side, per axis."""
-
 STRUCTURE_NONE: Final = 0
 """Structure mode: pixels are not weighted by mutual structure."""
 STRUCTURE_FOLLOWS: Final = 1
@@ -27,11 +54,8 @@ STRUCTURE_FIXED: Final = 2
 """Structure mode: mutual structure is computed once, at the position given for it."""
 STRUCTURE_GIVEN: Final = 3
 """Structure mode: mutual structure is passed in."""
-
 CONVERGED: Final = 0
 """Status of a point: the shift has converged."""
-
-Int64 = NDArray[np.int64]
 
 
 class Images(NamedTuple):
@@ -49,62 +73,35 @@ class Images(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """Where n points start; see `refinement.InitialEstimate`."""
+    """Where n points start, float64 and in px; see `refinement.InitialEstimate`."""
 
     corners_rc: Int64
     """(n, 2) row, column array indices in the reference."""
     shift_xy: Float64
-    """(n, 2) px."""
     linear: Float64
-    """(n, 2, 2)."""
     structure_xy: Float64
-    """(n, 2) px."""
     structure: Float32
     """(n, rows, cols) of the window, or (1, 1, 1) where it is not given."""
 
 
 class Results(NamedTuple):
-    """Results of n points, as `refine_points` finds them; see `refinement.Refined`."""
+    """Results of n points; see `refinement.Refined`."""
 
     shift_xy: Float64
-    """(n, 2) px."""
     linear: Float64
-    """(n, 2, 2)."""
     covariance: Float64
-    """(n, 2, 2) px²."""
     status: Int64
     """(n,) `CONVERGED`; else 1: the iterations ended before, 2: the window leaves the image or has too few
     valid pixels, 3: the point moved too far or out of the image, or its equations are singular, 4: plain
     steps hardly shrink on the way, so that the position is not determined."""
 
 
-LONGEST_STEP_PX: Final = 1.0
-"""Largest length of a move."""
-LARGEST_RELAXATION: Final = 20.0
-"""Largest ratio of a move to the plain step."""
-MIN_SLOPE: Final = 0.08
-"""Least slope of the plain step; below it the weights follow the window to any position."""
-SETTLED_AFTER: Final = 3
-"""Number of moves after which a window is given up whose next one is longer than `SETTLING_PX`."""
-SETTLING_PX: Final = 0.25
-"""Moves towards a match become shorter from one to the next; those of windows that show something else do
-not, and end somewhere by chance."""
-PATIENCE: Final = 6
-"""Number of steps after which a window is given up whose slope is below half of `MIN_SLOPE`."""
-NEAR_PX: Final = 0.1
-"""Length below which the last move but one must be, as a single short move may be chance."""
-SIGMA_PER_MEAN_DEVIATION: Final = 1.2533
-"""Standard deviation of a normal distribution over its mean absolute deviation, √(π / 2)."""
-
-
 class RefinementOptions(Structure):
     """Settings of the refinement; see `refinement.refine`.
 
-    `half_rows` and `half_cols` are half the sides of the window and `correlation_half` that of the local
-    correlation, in pixels that are `step` apart: 1 for all pixels of the window, 2 for every second one of
-    its rows and columns. `width` is the number of values in a row of a flat window, see `flat_width`,
-    `blocks` that of the blocks along a side, and `reached_by_px` the length of the move that led to the
-    start.
+    `half_rows`, `half_cols` and `correlation_half` are half the sides of the window and of the local
+    correlation, in pixels that are `step` apart; `width` is that of a row, see `flat_width`, `blocks` the
+    number of blocks along a side, and `reached_by_px` the length of the move that led to the start.
     """
 
     _fields_ = (
@@ -123,16 +120,8 @@ class RefinementOptions(Structure):
 
 
 class _Limits(Structure):
-    _fields_ = (
-        *(
-            (name, REAL)
-            for name in (
-                *("longest_step_px", "largest_relaxation", "min_slope", "near_px", "settling_px"),
-                "sigma_per_mean_deviation",
-            )
-        ),
-        ("settled_after", WHOLE),
-        ("patience", WHOLE),
+    _fields_ = tuple(
+        (field.name, WHOLE if field.type == "int" else REAL) for field in fields(IterationLimits)
     )
 
 
@@ -172,10 +161,7 @@ def refine_points(images: Images, starts: Starts, options: RefinementOptions) ->
         *images.coefficients.shape[1:],
         images.target_valid.shape[1],
     )
-    limits = _Limits(
-        *(LONGEST_STEP_PX, LARGEST_RELAXATION, MIN_SLOPE, NEAR_PX, SETTLING_PX, SIGMA_PER_MEAN_DEVIATION),
-        *(SETTLED_AFTER, PATIENCE),
-    )
+    limits = _Limits(*astuple(LIMITS))
     numbers = function("refinement_memory", POINTER, POINTER, returns=WHOLE)(byref(maps), byref(options))
     memory, scores = np.zeros(numbers or 0, np.float32), np.zeros((options.blocks**2, 2))
     function("refine_points", *7 * [POINTER])(

@@ -21,8 +21,9 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.crs import WGS84, name_of, to_pyproj, transform_xy, with_arrays
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, ignoring, root_cause
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, map_px
+from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.pixels import valid_in_file
-from pcwlad_geo.raster.source import RasterInfo, describe, open_raster
+from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.types import Float64
 
 MAX_PX_AT_ONCE: Final = 1 << 22
@@ -128,7 +129,7 @@ class Dem:
 
     def to_px(self, lon_lat: Float64) -> Float64:
         """Map (n, 2) `lon_lat` in degrees to (n, 2) pixels of the DEM (col, row), corner-based."""
-        return self.grid.to_px(transform_xy(lon_lat, WGS84, self.grid.crs))
+        return self.grid.to_px(self.grid.in_turn(transform_xy(lon_lat, WGS84, self.grid.crs)))
 
     def at_px(self, dem_px: Float64, lon_lat: Float64) -> Float64:
         """Return the (n,) heights as `at`, given (n, 2) `dem_px` (col, row) and (n, 2) `lon_lat`, degrees."""
@@ -291,16 +292,7 @@ def _from_grid(path: str, bounds: Bounds) -> Undulation:
     if not info.georeferenced:
         raise InputError(f"the geoid grid {path} has no georeferencing (CRS and geotransform): assign it")
     geoid = Dem(info.uri, info.grid, 1.0, Undulation.constant(0.0))
-
-    def at(lon_lat: Float64) -> Float64:
-        found = geoid.at(lon_lat)
-        for turn in (360.0, -360.0):
-            if info.grid.crs is not None and info.grid.crs.is_geographic:
-                around = geoid.at_px(info.grid.to_px(lon_lat + np.array([turn, 0.0])), lon_lat)
-                found = np.where(np.isnan(found), around, found)
-        return found
-
-    undulation = Undulation.sampled(at, bounds, STEP_DEG)
+    undulation = Undulation.sampled(geoid.at, bounds, STEP_DEG)
     if not np.isfinite(undulation.values_m).all():
         raise InputError(
             f"the geoid grid {path} does not cover the target ({in_words(bounds)}): give one that does, or "

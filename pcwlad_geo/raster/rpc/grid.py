@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,7 +13,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, Window, apply, apply_inverse, map_px
-from pcwlad_geo.raster.pixels import sample_positions
+from pcwlad_geo.raster.resampling import sample_positions
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.types import Float64
@@ -48,6 +49,11 @@ class RpcGrid(Grid):
         if level_m is None:
             level_m = heights.height_m if isinstance(heights, ConstantHeight) else rpc.height_off
         return RpcGrid(shape, Affine.identity(), crs, rpc, heights, level_m)
+
+    @property
+    def turn(self) -> float:
+        """Infinite: the RPC takes longitudes of any turn around the earth."""
+        return math.inf
 
     def to_xy(self, pixel_xy_px: Float64) -> Float64:
         """Map (n, 2) `pixel_xy_px` (col, row) to the (n, 2) map coordinates (x, y) of the ground they see.

@@ -22,8 +22,8 @@ from pcwlad_geo.correction.models import AffineCorrection, affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import RPC_BYTES, check_rpc
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import open_raster
-from pcwlad_geo.text import read_text
+from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.text import read_text, whole
 from pcwlad_geo.types import Float64
 
 Coefficients = tuple[float, ...]
@@ -540,8 +540,8 @@ def _rpc_txt(text: str) -> dict[str, Any]:
     values: dict[str, Any] = {name: [np.nan] * TERMS for name in POLYNOMIALS}
     for name, value in re.findall(rf"^[ \t]*(\w+)[ \t]*[:=]\s*({_NUMBER})", text, re.MULTILINE):
         base, _, number = name.lower().rpartition("_")
-        if base in POLYNOMIALS and number.isdecimal() and 1 <= int(number) <= TERMS:
-            values[base][int(number) - 1] = float(value)
+        if base in POLYNOMIALS and 1 <= (term := whole(number) or 0) <= TERMS:
+            values[base][term - 1] = float(value)
         else:
             values[name.lower()] = float(value)
     return values

@@ -27,12 +27,13 @@ from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import WGS84, name_of
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.matching_grid import FINER, MARGIN_PX, ViewPair
+from pcwlad_geo.raster.opening import open_written_raster
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest, lay_out, output_lattice, snapped_size
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem, Vertical, in_words, open_dem
 from pcwlad_geo.raster.rpc.grid import LATTICE, RpcGrid, at_mean_height, footprint_px
 from pcwlad_geo.raster.rpc.model import RpcModel, RpcSource, check_domain, to_gdal
-from pcwlad_geo.raster.source import RasterInfo, open_written_raster
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.vrt import has_alpha
 from pcwlad_geo.raster.warped_views import MAX_THREADS, Block, filled

@@ -197,8 +197,7 @@ class EngineAlgorithm(PlainAlgorithm):
     def checkParameterValues(self, parameters: Values, context: Context) -> tuple[bool, str]:
         """Say before the run what would make it fail."""
         accepted, message = super().checkParameterValues(self._in_numbers(parameters), context)
-        if accepted:
-            message = self.problem(parameters, context)
+        message = self.problem(parameters, context) if accepted else message
         return not message, message
 
     def problem(self, parameters: Values, context: Context) -> str:
@@ -208,9 +207,11 @@ class EngineAlgorithm(PlainAlgorithm):
         except EngineError as error:
             return str(error)
         try:
-            words_of(self.parameterAsString(parameters, "EXTRA", context))
+            extra = words_of(self.parameterAsString(parameters, "EXTRA", context))
         except ValueError:
             return tr("More options: a quotation mark is not closed. Close it, or leave it out.")
+        if "--no-report" in extra:
+            return tr("More options: QGIS loads files that --no-report leaves out. Leave that option out.")
         given = parameters.get("WINDOW") is not None
         if given and self.parameterAsInt(parameters, "WINDOW", context) % 2 == 0:
             return tr("Matching window: its side must be odd, such as 81 or 129.")

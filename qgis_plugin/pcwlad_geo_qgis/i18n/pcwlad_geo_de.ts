@@ -56,6 +56,10 @@
       <translation>Weitere Optionen: ein Anführungszeichen ist nicht geschlossen. Schließen Sie es, oder lassen Sie es weg.</translation>
     </message>
     <message>
+      <source>More options: QGIS loads files that --no-report leaves out. Leave that option out.</source>
+      <translation>Weitere Optionen: QGIS lädt Dateien, die --no-report auslässt. Lassen Sie diese Option weg.</translation>
+    </message>
+    <message>
       <source>{}: the engine writes GeoTIFF. Choose a file name that ends in .tif.</source>
       <translation>{}: Die Engine schreibt GeoTIFF. Wählen Sie einen Dateinamen, der auf .tif endet.</translation>
     </message>
@@ -1314,6 +1318,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>{} is no folder of a finished registration.</source>
       <translation>{} ist kein Ordner einer fertigen Registrierung.</translation>
+    </message>
+    <message>
+      <source>{}: no tiepoints.gpkg. Register again without --no-report.</source>
+      <translation>{}: keine tiepoints.gpkg. Registrieren Sie das Paar erneut, ohne --no-report.</translation>
     </message>
     <message>
       <source>No Python 3.10 or newer was found. Install one (python.org), and name it under “Python”.</source>

@@ -65,8 +65,7 @@ def figures(outcome: Mapping[str, Any]) -> dict[str, float]:
 
 def told(outcome: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a user is told of a finished job: sentences, the grade, and where its files are."""
-    quality = outcome.get("quality")
-    graded = {"QUALITY": quality["grade"]} if quality else {}
+    graded = {"QUALITY": outcome["quality"]["grade"]} if outcome.get("quality") else {}
     return {"VERDICT": verdict(outcome), "FACTS": facts(outcome), "PATHS": outcome["paths"], **graded}
 
 
@@ -84,6 +83,8 @@ def earlier(folder: Path) -> dict[str, Any]:
         inputs = {each["role"]: each["path"] for each in outcome["inputs"]}
         paths = {"reference": inputs["reference"], "target": inputs["target"], "raster": str(folder / raster)}
         paths.update(report=str(folder / "report.html"), geopackage=str(folder / "tiepoints.gpkg"))
+        if "tiepoints.gpkg" not in outcome["outputs"]:
+            raise EngineError(tr("{}: no tiepoints.gpkg. Register again without --no-report.").format(folder))
         return {**outcome, "model_name": outcome["model"]["name"], "paths": paths}
     except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
         raise EngineError(tr("{} is no folder of a finished registration.").format(folder)) from error

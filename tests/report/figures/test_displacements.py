@@ -1,10 +1,10 @@
 from __future__ import annotations
 
-import io
+import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from pcwlad_geo.report.figures import displacement_figure, nice_number
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -28,27 +28,37 @@ def table(reference_px: list[list[float]], displacement: list[list[float]], stat
     )
 
 
-def dark_pixels(png: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the near-black pixels inside the frame's middle."""
-    grey = imread(io.BytesIO(png))[..., :3].mean(axis=2)
-    rows, cols = grey.shape
-    inner = grey[rows // 4 : 3 * rows // 4, cols // 4 : 3 * cols // 4]
-    return np.nonzero(inner < 0.3)
+def arrows(svg: str) -> np.ndarray:
+    """(n, 2, 2) begin and tip (x to the right, y down) of the arrows in the panel, px of the page."""
+    path = re.search(r'<path d="([^"]*)" clip-path="[^"]*" [^>]*stroke="#003355"', svg)
+    assert path is not None
+    shafts = re.findall(r"M([\d.]+) ([\d.]+)L([\d.]+) ([\d.]+)M[^L]*L[^L]*L[^L]*?(?=M|$)", path[1])
+    return np.array(shafts, float).reshape(-1, 2, 2)
 
 
-def test_arrow_points_where_the_target_moved() -> None:
+@pytest.mark.parametrize("moved", [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-0.6, 0.8)])
+def test_arrow_points_where_the_target_moved(moved: tuple[float, float]) -> None:
     """Row displacements grow downwards on the page, as image rows do."""
-    down = dark_pixels(displacement_figure(table([[50, 50]], [[0, 1]], "matched"), (100, 100)))
-    up = dark_pixels(displacement_figure(table([[50, 50]], [[0, -1]], "matched"), (100, 100)))
-    right = dark_pixels(displacement_figure(table([[50, 50]], [[1, 0]], "matched"), (100, 100)))
-    assert down[0].mean() > up[0].mean() + 10
-    assert np.ptp(right[1]) > 3 * np.ptp(right[0])
+    svg = displacement_figure(table([[50, 50]], [list(moved)], "matched"), (100, 100))
+    ((begin, tip),) = arrows(svg)
+    np.testing.assert_allclose((tip - begin) / np.hypot(*(tip - begin)), moved, atol=0.02)
+
+
+def test_arrows_start_at_their_points_and_keep_their_proportions() -> None:
+    points, moved = [[20.0, 30.0], [80.0, 60.0]], [[2.0, 0.0], [0.0, 1.0]]
+    begin, tip = arrows(displacement_figure(table(points, moved, "fit"), (100, 100))).swapaxes(0, 1)
+    px = np.diff(begin, axis=0)[0] / np.diff(points, axis=0)[0]
+    np.testing.assert_allclose(px[0], px[1], rtol=0.01)  # to scale
+    lengths = np.hypot(*(tip - begin).T)
+    assert lengths[0] / lengths[1] == pytest.approx(2, rel=0.02)
+    assert lengths.mean() == pytest.approx(0.05 * 100 * px[0], rel=0.05)  # the median is typical
 
 
 @pytest.mark.parametrize("displacement", [[0.0, 0.0], [1e-9, 0.0], [300.0, 40.0]])
 def test_any_size_of_displacement_is_drawn(displacement: list[float]) -> None:
-    png = displacement_figure(table([[50, 50], [60, 20]], [displacement] * 2, "fit"), (100, 4000))
-    assert png.startswith(b"\x89PNG")
+    svg = displacement_figure(table([[50, 50], [60, 20]], [displacement] * 2, "fit"), (100, 4000))
+    ElementTree.fromstring(svg)
+    assert "nan" not in svg
 
 
 @pytest.mark.parametrize(("value", "expected"), [(1.0, 1), (0.99, 0.5), (7.3, 5), (0.2, 0.2), (23, 20)])

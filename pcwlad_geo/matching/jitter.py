@@ -1,0 +1,92 @@
+"""Jitter of a sensor: rows or columns that move within a window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from pcwlad_geo.estimation.robust import huber
+from pcwlad_geo.matching.guidance import FieldGuide
+from pcwlad_geo.matching.prepare import ChannelPair
+from pcwlad_geo.matching.refinement import InitialEstimate, refine
+from pcwlad_geo.matching.types import TiePoints, to_index
+from pcwlad_geo.types import Float64
+
+
+@dataclass(frozen=True, slots=True)
+class JitterParameters:
+    """Windows that show jitter, and the evidence of it."""
+
+    length_px: int = 61
+    """Length of windows of few rows or of few columns."""
+    width_px: int = 5
+    """Their width."""
+    same_rows_px: float = 4.0
+    """Windows whose rows are less apart lie on the same rows."""
+    disjoint_px: float = 90.0
+    """Windows that are farther apart along the rows share no pixel."""
+    limit_medians: float = 4.0
+    """Longer residuals, in the median of all, are cut to that."""
+    least_pairs: int = 50
+    """Least number of pairs of windows of the same rows."""
+    clear_errors: float = 5.0
+    """Standard errors from which what they share is jitter; without any it was 3 at most."""
+
+
+JITTER: Final = JitterParameters()
+"""Those in use."""
+
+
+def displacement_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> Float64:
+    """Return (2, n, 2) displacements (col, row) by windows of few rows, then of few columns, NaN if lost.
+
+    The n `points` and their `guide` are in pixel coordinates of the arrays of `pair`.
+    """
+    begin = np.where(guide.leads[:, None], guide.structure_xy_px, points.displacement_px)
+    corners = to_index(points)
+    start = InitialEstimate(begin, guide.linear)
+    displacements = []
+    for window_px in ((JITTER.width_px, JITTER.length_px), (JITTER.length_px, JITTER.width_px)):
+        refined = refine(
+            pair.reference,
+            pair.target,
+            corners,
+            start,
+            window_px=window_px,
+            use_structure=False,
+            threads=pair.threads,
+        )
+        displacements.append(np.where(refined.converged[:, None], refined.shift_xy_px, np.nan))
+    return np.stack(displacements)
+
+
+def jitter_px(xy_px: Float64, difference_px: Float64) -> float:
+    """Return by how much rows and columns move within a window, RMS, px; 0 where that may be chance.
+
+    The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `difference_px` are their
+    displacements by windows of few rows, then of few columns, less those by whole windows; NaN for failures.
+    Errors of windows are their own, except for what those of the same rows, far along them, share.
+    """
+    return float(np.hypot(_shared(xy_px, difference_px[0], 1), _shared(xy_px, difference_px[1], 0)))
+
+
+def _shared(xy_px: Float64, difference_px: Float64, across: int) -> float:
+    finite = np.isfinite(difference_px).all(axis=1)
+    if np.count_nonzero(finite) < 2:
+        return 0.0
+    residual = difference_px[finite] - np.median(difference_px[finite], axis=0)
+    size = np.linalg.norm(residual, axis=1)
+    residual *= huber(np.maximum(size, 1e-9), JITTER.limit_medians * np.median(size))[:, None]
+    distance = np.abs(xy_px[finite, None] - xy_px[finite])
+    first, second = np.nonzero(
+        np.triu(
+            (distance[..., across] < JITTER.same_rows_px) & (distance[..., 1 - across] > JITTER.disjoint_px)
+        )
+    )
+    if len(first) < JITTER.least_pairs:
+        return 0.0
+    product = (residual[first] * residual[second]).sum(axis=1)
+    error = float(np.sqrt((product**2).mean() / len(product)))
+    return float(np.sqrt(product.mean())) if product.mean() > JITTER.clear_errors * error else 0.0

@@ -1,0 +1,51 @@
+"""How many candidates are matched: of a small image some first, and the others only where they are needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from pcwlad_geo.matching.types import TRAITS, MatchSettings
+
+
+@dataclass(frozen=True, slots=True)
+class RoundParameters:
+    """How many candidates come first, and when they suffice; see the tuning log."""
+
+    least: int = 140
+    """Least number of candidates that are matched first."""
+    area_px2: float = 1000.0
+    """Area for each of them: with more the correction hardly gets better, as their windows share pixels."""
+    most_share: float = 0.7
+    """Where they would be more than this share of all, all are matched at once."""
+    least_agreeing: int = 60
+    """Least number of them that must give points that agree."""
+    agreeing_share: float = 0.8
+    """Least share of them that must do so."""
+
+
+PARAMETERS: Final = RoundParameters()
+"""Those that are used."""
+
+
+def in_rounds(settings: MatchSettings, area_px2: float) -> MatchSettings:
+    """Return the settings with the number of candidates for an area, and of those that are matched first.
+
+    Where their number is given, and where the area is so large that it tells as many, all are matched at
+    once.
+    """
+    is_open = settings.features is None and settings.keypoints == "cells"
+    settings = replace(settings, features=settings.candidates)
+    if not is_open or TRAITS[settings.method].structure != "local":
+        return settings
+    first = max(PARAMETERS.least, round(area_px2 / PARAMETERS.area_px2))
+    in_two_rounds = first < PARAMETERS.most_share * settings.candidates
+    return replace(settings, first_features=first if in_two_rounds else None)
+
+
+def suffice(agreeing: int, candidates: int) -> bool:
+    """Return whether the first candidates, of which so many gave points that agree, need no others.
+
+    They do where most of them agree, in numbers that tell the window and the model of the correction.
+    """
+    return agreeing >= max(PARAMETERS.least_agreeing, PARAMETERS.agreeing_share * candidates)

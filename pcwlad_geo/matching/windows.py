@@ -1,0 +1,180 @@
+"""The windows of the second pass: the error that each leaves, and the choice of the best one or two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from pcwlad_geo.estimation.solving import inverse, least_squares
+from pcwlad_geo.matching.calibration import MEDIAN_CHI_SQUARE_2
+from pcwlad_geo.matching.guidance import FieldGuide
+from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.types import Float64, Index
+
+
+@dataclass(frozen=True, slots=True)
+class WindowParameters:
+    """How the windows of the second pass are chosen."""
+
+    sparse_from_px: int = 101
+    """Side from which every second pixel of rows and columns is taken: less time, the same error."""
+    tried_first: int = 3
+    """Number of windows that are always tried, the smallest."""
+    largest_px: int = 181
+    """Largest window that measures: with 257 px it takes twice as long, and gains 0.01 px at most."""
+    sample: int = 160
+    """Number of points that are matched with every window."""
+    least_sample: int = 12
+    """Least number of points that give the errors of windows."""
+    least_to_choose: int = 60
+    """Least number of points for another window than that of the first pass."""
+    gain: float = 0.95
+    """Others must leave less than this share of its mean squared error, and so must two windows."""
+    noise_power: float = 1.1
+    """The noise falls with this power of the side, measured as 1 to 1.4: windows share noise."""
+    most_weight: float = 2.0
+    """Largest weight of one of two windows; beyond it their difference is mostly noise."""
+    growing_weight: float = 0.3
+    """A larger window is tried if the largest one so far has more weight than this."""
+
+
+WINDOWS: Final = WindowParameters()
+"""Those in use."""
+
+
+def window_sample(guide: FieldGuide, settings: MatchSettings) -> Index:
+    """Return the (m,) points of the `guide` that tell which of the windows of `settings` is best."""
+    n = len(guide.linear)
+    if n < WINDOWS.least_sample or len(settings.windows) == 1:
+        return np.zeros(0, np.intp)
+    return np.unique(np.linspace(0, n - 1, min(WINDOWS.sample, n)).astype(np.intp))
+
+
+def choose_scales(
+    measured: Callable[[Sequence[int]], Float64], settings: MatchSettings
+) -> tuple[Scales, WindowErrors | None]:
+    """Choose the windows of the second pass, where they are open, and tell the errors of all that were tried.
+
+    Larger windows are tried one after the other, as long as the last one seems good. `measured` gives the (k,
+    n, 2) displacements of n points by k windows, as `displacement_by_windows` does.
+    """
+    windows = settings.windows[: WINDOWS.tried_first]
+    displacement = measured(windows)
+    open_to = [window for window in settings.windows[WINDOWS.tried_first :] if window <= WINDOWS.largest_px]
+    while True:
+        errors = window_errors(displacement, windows)
+        if errors is None or not settings.open_window:
+            return Scales.of(settings.window), errors
+        scales = errors.best(windows, settings.window)
+        grows = scales.windows_px[-1] == windows[-1] and scales.weights[-1] > WINDOWS.growing_weight
+        if not open_to or not grows:
+            return scales, errors
+        windows = (*windows, open_to.pop(0))
+        displacement = np.concatenate([displacement, measured(windows[-1:])])
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """The windows that points are matched with, and the weight of each in the position."""
+
+    windows_px: tuple[int, ...]
+    """One or two sides, the smaller first."""
+    weights: tuple[float, ...]
+    """Their sum is 1. A negative one extrapolates: what the field bends in the larger window tells how much
+    it bends in the smaller."""
+
+    @staticmethod
+    def of(window_px: int) -> Scales:
+        """Return a single window."""
+        return Scales((window_px,), (1.0,))
+
+    @property
+    def window_px(self) -> int:
+        """Side of the window of most weight."""
+        return max(zip(self.weights, self.windows_px, strict=True))[1]
+
+
+@dataclass(frozen=True, slots=True)
+class WindowErrors:
+    """The error that windows of any side leave, as their differences at the same points tell."""
+
+    noise: float
+    """Variance per axis of independent errors times the power `noise_power` of the side of the window."""
+    bend: float
+    """Variance per axis of what the window averages away of a displacement that bends, over side⁴, 1/px²."""
+    points: int
+    """Number of points that tell."""
+
+    def covariance_px2(self, windows_px: Sequence[int]) -> Float64:
+        """Return the (k, k) covariance per axis of the errors of k windows at the same point.
+
+        A window knows what those within it do, so that two share the noise of the larger, and what they
+        average away has the same sign.
+        """
+        sides = np.asarray(windows_px, np.float64)
+        shared = np.maximum.outer(sides, sides) ** -WINDOWS.noise_power
+        return self.noise * shared + self.bend * np.outer(sides**2, sides**2)
+
+    def variance_px2(self, scales: Scales) -> float:
+        """Return the variance per axis of the error that the windows leave together."""
+        weights = np.asarray(scales.weights)
+        return float(weights @ self.covariance_px2(scales.windows_px) @ weights)
+
+    def best(self, windows_px: Sequence[int], first_px: int) -> Scales:
+        """Return one or two windows that leave the least error, `first_px` unless others are clearly better.
+
+        Two are weighted by the inverse of their covariance (Gauss-Markov): where the field bends, the smaller
+        one gets more than 1, and the larger less than 0.
+        """
+        first = Scales.of(first_px)
+        if self.points < WINDOWS.least_to_choose:
+            return first
+        single = min(map(Scales.of, windows_px), key=self.variance_px2)
+        best = single if self.variance_px2(single) < WINDOWS.gain * self.variance_px2(first) else first
+        pairs = [self._weighted(pair) for pair in combinations(sorted(windows_px), 2)]
+        usable = [pair for pair in pairs if max(pair.weights) <= WINDOWS.most_weight]
+        both = min(usable, key=self.variance_px2, default=best)
+        return both if self.variance_px2(both) < WINDOWS.gain * self.variance_px2(best) else best
+
+    def _weighted(self, windows_px: tuple[int, ...]) -> Scales:
+        covariance = self.covariance_px2(windows_px)
+        size = float(np.trace(covariance))
+        if size <= 0:
+            return Scales.of(windows_px[-1])
+        # without noise the two errors are proportional, and their covariance is singular
+        weight = inverse(covariance / size + 1e-6 * np.eye(len(windows_px)))
+        weights = weight.sum(axis=0) / weight.sum()
+        return Scales(windows_px, tuple(float(weight) for weight in weights))
+
+
+def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> WindowErrors | None:
+    """Estimate the errors of windows from the displacements that they give at the same points.
+
+    Of two windows, one inside the other, the variance of the difference is a (w₁⁻ᵖ - w₂⁻ᵖ) + c (w₂² - w₁²)²,
+    with p = 1.1: the differences of three or more windows give the noise a and the bend c. The (k, n, 2)
+    `displacement_px` (col, row) are those of n points by each of the `windows_px`, the smallest first, NaN
+    where one failed. None for fewer than three windows or too few points.
+    """
+    sides = np.asarray(windows_px, np.float64)
+    finite = np.isfinite(displacement_px).all(axis=(0, 2))
+    if len(sides) < 3 or finite.sum() < WINDOWS.least_sample:
+        return None
+    difference = np.diff(displacement_px[:, finite], axis=0)
+    variance = np.median((difference**2).sum(axis=2), axis=1) / MEDIAN_CHI_SQUARE_2
+    design = np.stack([-np.diff(sides**-WINDOWS.noise_power), np.diff(sides**2) ** 2], axis=1)
+    scale = design.max(axis=0)
+    noise, bend = _not_negative(design / scale, variance) / scale
+    return WindowErrors(float(noise), float(bend), int(finite.sum()))
+
+
+def _not_negative(design: Float64, values: Float64) -> Float64:
+    """Return the two factors, not negative, of the columns of `design` whose sum is nearest to `values`."""
+    both = least_squares(design, values)
+    if both.min() >= 0.0:
+        return both
+    single = np.diag(np.maximum(design.T @ values, 0.0) / (design**2).sum(axis=0))
+    return np.asarray(single[((single @ design.T - values) ** 2).sum(axis=1).argmin()])

@@ -1,0 +1,136 @@
+"""A product as delivered: its bands, its quality raster, and what is missing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.opening import open_raster
+
+_PIXEL_SIZE: Final = re.compile(r"_\d+m$")
+"""End of the name of a band at one of several pixel sizes, such as B04_20m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProductBand:
+    """One band file of a product."""
+
+    name: str
+    """Name of the band in the product, such as B10, SR_B4, B04."""
+    uri: str
+    """Path or GDAL URI of the file."""
+    scale: float | None = None
+    offset: float | None = None
+    """Physical value = number · scale + offset, if stated only in the product's metadata."""
+    nodata: float = 0
+    """Nodata value of the stored numbers, for a file that states none."""
+
+    def opened_as(self) -> str:
+        """Return the URI to open: the file, with nodata (and scale, offset) declared if it lacks them.
+
+        Raises `InputError` if the file cannot be opened, or its path holds a question mark.
+        """
+        with open_raster(self.uri) as dataset:
+            has_nodata = dataset.nodatavals[0] is not None
+            has_scale = dataset.scales[0] != 1.0 or dataset.offsets[0] != 0.0
+        items = [] if has_nodata else [f"a_nodata={self.nodata}"]
+        if self.scale is not None and not has_scale:
+            items += [f"a_scale={self.scale!r}", f"a_offset={self.offset or 0.0!r}"]
+        if not items:
+            return self.uri
+        if "?" in self.uri:
+            raise InputError(f"the path of {self.uri} holds a '?', which GDAL takes for options: rename it")
+        return f"vrt://{self.uri}?{'&'.join(items)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """The bands of a product, and its quality raster."""
+
+    path: str
+    """Path of the product as the user gave it."""
+    kind: str
+    """Kind of product for messages, such as Landsat Collection 2 L1TP."""
+    bands: tuple[ProductBand, ...]
+    """All bands, each at its finest pixel size."""
+    mask: str | None
+    """Path or GDAL URI of its quality raster."""
+    missing: tuple[str, ...] = ()
+    """Bands that the metadata list but that are missing."""
+    aliases: Mapping[str, ProductBand] = field(default_factory=dict)
+    """Bands by further names, and bands at coarser pixel sizes; names in capitals."""
+    cirrus: tuple[str, ...] = ()
+    """Names of bands that show the atmosphere (cirrus) instead of the ground."""
+    radar: bool = False
+    """Whether it is radar: clouds do not hide the ground, and its only band needs no name."""
+
+    def band(self, name: str | int) -> ProductBand:
+        """Return a band by name, the first of several names separated by commas.
+
+        Raises `InputError` if there is no band of that name.
+        """
+        held = ", ".join(band.name for band in self.bands) or "none"
+        if self.radar and name == 1 and len(self.bands) == 1:
+            return self.bands[0]
+        if not isinstance(name, str):
+            raise InputError(
+                f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band; "
+                f"PRODUCT:NAME for qa); it holds {held}"
+            )
+        name = name.removeprefix("pca:").partition(",")[0]
+        bands = {band.name.upper(): band for band in self.bands} | dict(self.aliases)
+        if name.upper() not in bands:
+            raise InputError(
+                f"band {name} of {self.path} ({self.kind}) is missing: it holds {held}"
+                + (f"; its metadata list {', '.join(self.missing)} besides" if self.missing else "")
+            )
+        return bands[name.upper()]
+
+    def ground_bands(self) -> tuple[tuple[ProductBand, ...], tuple[str, ...]]:
+        """Return the bands that show the ground, and messages about those left out.
+
+        Raises `InputError` if the product is not complete.
+        """
+        names = ",".join(band.name for band in self.bands)
+        self._check_complete(f"name those to compare ({self.path}:{names})")
+        notes = tuple(
+            f"band {band.name} of {self.path} shows cirrus, not the ground, and is left out (name it to "
+            "have it compared)"
+            for band in self.bands
+            if band.name in self.cirrus
+        )
+        return self.showing_ground(), notes
+
+    def showing_ground(self) -> tuple[ProductBand, ...]:
+        """Return the bands that show the ground."""
+        return tuple(band for band in self.bands if band.name not in self.cirrus)
+
+    def notes(self, masked: bool) -> tuple[str, ...]:
+        """Return the warnings for the use of the product's bands; `masked`: the user gives a mask."""
+        warnings = []
+        if not masked and self.mask is None and not self.radar:
+            warnings.append(f"{self.path} ({self.kind}) has no quality raster: its clouds are not masked")
+        if self.path.lower().endswith("gz"):
+            warnings.append(
+                f"{self.path} is compressed as a whole, and reading parts of it is slow: unpack it"
+            )
+        return tuple(warnings)
+
+    def others(self, band: ProductBand) -> tuple[ProductBand, ...]:
+        """Return all bands except one.
+
+        Raises `InputError` if the product is not complete.
+        """
+        self._check_complete(f"give the file of band {band.name} itself to correct no other")
+        same = _PIXEL_SIZE.sub("", band.name)
+        return tuple(other for other in self.bands if other.name != same)
+
+    def _check_complete(self, otherwise: str) -> None:
+        if self.missing:
+            raise InputError(
+                f"{self.path} ({self.kind}) lacks bands that its metadata list: {', '.join(self.missing)}; "
+                f"complete it, or {otherwise}"
+            )

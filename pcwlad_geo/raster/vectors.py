@@ -1,0 +1,99 @@
+"""Vector files of strangers, read by a process of their own that is ended where they ask for too much."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import sqlite3
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from pcwlad_geo.child import child_environment, python_command
+from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.limits import AREAS, READING_BYTES, READING_S
+from pcwlad_geo.raster.trust.permissions import current_trust
+
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top."""
+
+SQLITE_HEAD: Final = b"SQLite format 3\0"
+"""What a GeoPackage begins with."""
+_CHILD: Final = (
+    "sys.modules |= dict.fromkeys(('geopandas', 'pandas', 'pyarrow')); "  # a second to load, and not needed
+    "from pcwlad_geo.raster.vectors import answer; answer(*sys.argv[1:3])"
+)
+
+
+def ask(name: str, box: Box | None = None) -> Any:  # noqa: ANN401  # of either question
+    """Return the number of layers of a vector file and the CRS of a single one, as text or None.
+
+    With a `box` in that CRS return the geometries that meet it instead, one more than `AREAS` at most, as
+    well-known binary. Raises `InputError` if the file cannot be read, or takes more than `READING_S` or
+    `READING_BYTES`.
+    """
+    try:
+        ended = subprocess.run(
+            python_command(_CHILD, name, json.dumps(box)),
+            env=child_environment(),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=READING_S,
+        )
+        said, value = pickle.loads(ended.stdout or pickle.dumps(("it needs too much memory", None)))
+    except subprocess.TimeoutExpired:
+        said = (
+            f"it takes more than {READING_S:.0f} s; write what lies around the rasters to a file of its own"
+        )
+    except (OSError, ValueError) as error:
+        said = str(error)
+    if said:
+        raise InputError(f"{name} cannot be read as a vector file: {said}")
+    return value
+
+
+def answer(name: str, box: str) -> None:
+    """Be the process that reads for `ask`: write an error, or none and the answer, to standard output."""
+    import pyogrio.raw
+
+    warnings.simplefilter("ignore")  # of fields, which are not read
+    with suppress(ImportError, ValueError):  # Windows has no such limit, and a lower one may be set
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (READING_BYTES, READING_BYTES))
+    value: object = None
+    try:
+        if (around := json.loads(box)) is None:
+            count = len(pyogrio.list_layers(name))
+            value = count, pyogrio.read_info(name)["crs"] if count == 1 else None
+        else:
+            options = {"columns": [], "force_2d": True, "max_features": AREAS + 1, "bbox": tuple(around)}
+            value = list(pyogrio.raw.read(name, **options)[2])
+        said = ""
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
+        said = str(error) or "it is damaged"
+    sys.stdout.buffer.write(pickle.dumps((said, value)))
+
+
+@contextmanager
+def sqlite_file(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a SQLite file for reading, of which every query is ended after `READING_S`.
+
+    Raises `TrustError` if it holds a view, which may be an endless query, and is not trusted, and
+    `sqlite3.Error` if it cannot be read.
+    """
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        end = time.monotonic() + READING_S
+        database.set_progress_handler(lambda: time.monotonic() > end, 100_000)  # steps, some milliseconds
+        view = database.execute("SELECT name FROM sqlite_master WHERE type = 'view'").fetchone()
+        if view is not None and not current_trust().vrt:
+            raise TrustError(
+                f"{path} holds the view {str(view[0])[:80]!r}, a query that may never end: write its rows "
+                "to a table (ogr2ogr), or give --trust-vrt if you trust whoever made the file"
+            )
+        yield database

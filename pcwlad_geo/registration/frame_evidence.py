@@ -1,0 +1,357 @@
+"""Whether a pair that agrees at no displacement agrees in its ground, or in what stands still in both frames.
+
+A sensor's fixed pattern, dust, vignetting and burnt-in text lie on the same pixels of all frames of a camera,
+wherever the ground is. They are asked for only where the tie points lie on the same pixels of both files.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster.view import View
+from pcwlad_geo.types import Bool, Float32, Float64
+
+
+@dataclass(frozen=True, slots=True)
+class FrameParameters:
+    """How the ground is told from what belongs to the frame."""
+
+    identity_px: float = 0.06
+    """Largest median distance of tie points from the same pixel of the other file, per axis."""
+    scatter_px: float = 0.3
+    """Distance within which most of them lie there: what stands still agrees far better than bands do."""
+    pulled_px: float = 0.6
+    """The largest such distances where ground that has moved draws the points: there it must be seen."""
+    most: float = 0.7
+    """Share of the points that are most."""
+    largest_px: int = 800
+    """Largest side of the part that is read, in the middle of large files."""
+    smooth_px: float = 2.5
+    """Standard deviation of the filter that takes out the pattern of single pixels."""
+    window_px: int = 81
+    """Side of the places that are asked; of small frames without georeferencing a quarter of theirs."""
+    smallest_window_px: int = 41
+    """Least such side."""
+    reach_px: int = 12
+    """Largest displacement that is compared with none, along both axes."""
+    step_px: int = 3
+    """Distance of these displacements; a neighbour of none counts as none, so that 11 % agree by chance."""
+    structured: float = 0.4
+    """Share of the places, those with most structure in either image, that are asked."""
+    min_places: int = 8
+    """Least number of such places that tell."""
+    ground_share: float = 0.55
+    """Share of these places that agree at no displacement from which the ground does: 0.6 to 1 of bands and
+    dates that truly lie so."""
+    frame_share: float = 0.45
+    """Share below which it does not: 0.11 of two frames of a thermal camera in flight, at most 0.4 of other
+    ground under a fixed pattern."""
+    common_grey: float = 0.1
+    """Least correlation of the grey values of frames that share a pattern: 0.54 of the two thermal ones, at
+    most 0.03 of 30 maps over images of the same ground, of which the share says nothing."""
+    finest_px: float = 4.0
+    """Wavelength of the finest structure in which ground that has moved is sought."""
+    coarsest_px: float = 50.0
+    """Wavelength of the coarsest one."""
+    rival_z: float = 25.0
+    """Least significance of another displacement of the ground, in standard deviations of the cepstrum: 48 to
+    190 of ground that has moved, 44 at most of bands in place."""
+    rival_ratio: float = 2.5
+    """Least ratio of this to the significance in the images' own cepstra: 4 and more of ground that has
+    moved, at most 1.6 of bands in place."""
+    same_correlation: float = 0.95
+    """Correlation of both images in these wavelengths from which their difference holds no ground."""
+    rival_min_px: int = 5
+    """Least displacement that is told from none so."""
+
+
+PARAMETERS: Final = FrameParameters()
+"""Those that are used."""
+SAME_PIXELS: Final = "the two agree at exactly the same pixels of both files, and "
+"""How the doubt of such a pair begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeckParameters:
+    """How specks are found that lie on the same pixels of both frames: dust, drops, dead pixels, ships."""
+
+    outlying: float = 3.0
+    """Least deviation of a pixel from its surroundings in both images, to the same side, robust sigmas."""
+    surroundings_px: float = 12.0
+    """Standard deviation of the filter that gives the surroundings."""
+    grow_px: int = 3
+    """By how much specks are grown, for their blurred edges."""
+    largest_px: int = 40
+    """Largest extent of a speck; larger ones are ground, such as an island."""
+    most: float = 0.2
+    """Largest share of the image that is specks; beyond it, it is texture."""
+    fill_px: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
+    """Standard deviations of the filters that fill specks from around them, in turn."""
+    structured: float = 2.0
+    """Least ratio of the structure to that of white noise from which the rest of an image can tell: 1.3 of
+    noise, 9 and more of ground, however faint."""
+
+
+SPECKS: Final = SpeckParameters()
+"""Those that are used."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEvidence:
+    """What speaks for the ground where two files agree pixel by pixel."""
+
+    share: float
+    """Share of the places with structure that agree at no displacement."""
+    rival_px: tuple[float, float] | None
+    """Another displacement (col, row) of the ground, target px, that the difference of both shows."""
+    without_specks: bool = False
+    """Whether the share is that of what is left without specks on the same pixels of both."""
+
+    @property
+    def is_frame(self) -> bool:
+        """Whether the ground does not lie where the two agree."""
+        return self.rival_px is not None or self.share < PARAMETERS.frame_share
+
+    @property
+    def doubt(self) -> str | None:
+        """Why the ground may not lie where the two agree; None where nothing speaks against it."""
+        if self.rival_px is None and self.share >= PARAMETERS.ground_share:
+            return None
+        once = "without small specks that both have" if self.without_specks else "once smoothed"
+        seen = f"only {100 * self.share:.0f} % of the places with structure agree there {once}"
+        if self.rival_px is not None:
+            col, row = self.rival_px
+            seen = f"the difference of both shows ground that has moved by about ({col:+.0f}, {row:+.0f}) px"
+        only = "only" if self.is_frame else "perhaps only"
+        return (
+            f"{SAME_PIXELS}{only} in what stands still in both frames: "
+            "a fixed pattern of the sensor, dust, vignetting, or text, lines and masks burnt in "
+            f"({seen}); mask it, correct the frames for it, or give their georeferencing"
+        )
+
+
+def frame_evidence(
+    reference: RasterInfo, target: RasterInfo, reference_px: Float64, target_px: Float64
+) -> FrameEvidence | None:
+    """Return what speaks for the ground of a pair whose tie points lie on the same pixels of both files.
+
+    None where they do not, where the images have too few places with structure, or where their grey values
+    have nothing in common: then they are of different bands, and share no pattern of a sensor.
+
+    Parameters
+    ----------
+    reference, target : RasterInfo
+        The files.
+    reference_px, target_px : (n, 2) arrays
+        Tie points (col, row), px of the files.
+    """
+    rpc = isinstance(reference.grid, RpcGrid) or isinstance(target.grid, RpcGrid)
+    if rpc or reference.grid.shape != target.grid.shape or len(reference_px) == 0:
+        return None
+    moved = target_px - reference_px
+    most_px = np.quantile(np.hypot(*moved.T), PARAMETERS.most)
+    median_px = np.abs(np.median(moved, axis=0)).max()
+    exact = median_px <= PARAMETERS.identity_px and most_px <= PARAMETERS.scatter_px
+    if max(median_px, most_px) > PARAMETERS.pulled_px:
+        return None
+    with suppress(InputError):
+        (one, known), (other, known_there) = (_middle_of(info) for info in (reference, target))
+        valid = known & known_there
+        for end in (np.min, np.max):  # text and marks burnt in are as dark or bright as can be
+            valid &= ~((one == end(one)) & (other == end(other)))
+        raw = not (reference.georeferenced or target.georeferenced)  # others are no frames of a camera
+        window, quarter = PARAMETERS.window_px, min(one.shape) // 8 * 2 + 1
+        window = max(PARAMETERS.smallest_window_px, min(quarter, window)) if raw else window
+        share, rival_px = _share_at_identity(one, other, valid, window), _rival(one, other, valid)
+        shares_pattern = exact and _common_grey(one, other, valid) >= PARAMETERS.common_grey
+        if share is None or not (shares_pattern or rival_px):
+            return None
+        rest = _share_without_specks(one, other, valid, window) if raw and rival_px is None else None
+        if rest is not None and rest < share:
+            return FrameEvidence(rest, None, without_specks=True)
+        return FrameEvidence(share, rival_px)
+    return None
+
+
+def _middle_of(info: RasterInfo) -> tuple[Float32, Bool]:
+    """Return the (rows, cols) values and validity of the middle of a file, the invalid ones as the median."""
+    rows, cols = (min(n, PARAMETERS.largest_px) for n in info.grid.shape)
+    window = Window((info.grid.shape[0] - rows) // 2, (info.grid.shape[1] - cols) // 2, rows, cols)
+    patch = View(info, info.grid, "none").read(window)
+    values = patch.values.astype(np.float32)
+    if patch.valid.any():
+        values[~patch.valid] = np.median(values[patch.valid])
+    return values, patch.valid
+
+
+def _band(values: Float32, smooth_px: float) -> Float32:
+    """Return values without pattern of single pixels, shading, and what whole rows or columns have."""
+    band = cv2.GaussianBlur(values, (0, 0), smooth_px) - cv2.GaussianBlur(values, (0, 0), 3 * smooth_px)
+    band -= np.median(band, axis=0)
+    band -= np.median(band, axis=1)[:, None]
+    return np.asarray(band, np.float32)
+
+
+def _structure(values: Float32, valid: Bool) -> Float32:
+    """Return the (2, rows, cols) orientation of slopes at twice its angle, times their size."""
+    band = _band(values, PARAMETERS.smooth_px)
+    x, y = cv2.Sobel(band, cv2.CV_32F, 1, 0), cv2.Sobel(band, cv2.CV_32F, 0, 1)
+    far = cv2.erode(valid.astype(np.uint8), np.ones((2 * round(3 * PARAMETERS.smooth_px) + 1,) * 2)) > 0
+    return np.asarray(np.stack([x * x - y * y, 2 * x * y]) * (far / (np.hypot(x, y) + 1e-12)), np.float32)
+
+
+def _share_at_identity(one: Float32, other: Float32, valid: Bool, window: int) -> float | None:
+    """Return the share of the places with structure at which no displacement fits best."""
+    first, second = _structure(one, valid), _structure(other, valid)
+    reach, step = PARAMETERS.reach_px, PARAMETERS.step_px
+    (rows, cols), margin = one.shape, window // 2 + reach
+    at = np.s_[margin : rows - margin : window // 2, margin : cols - margin : window // 2]
+
+    def sums(product: Float32) -> Float32:
+        return np.asarray(cv2.boxFilter(product, -1, (window, window), normalize=False)[at])
+
+    power = sums((first**2).sum(axis=0)), (second**2).sum(axis=0)
+    scores, offsets = [], range(-reach, reach + 1, step)
+    for row, col in ((row, col) for row in offsets for col in offsets):
+        there = np.roll(second, (-row, -col), axis=(1, 2))
+        energy = sums(np.roll(power[1], (-row, -col), axis=(0, 1)))
+        scores.append(sums((first * there).sum(axis=0)) / np.sqrt(np.maximum(energy, 1e-20)))
+    best = np.argmax(scores, axis=0)
+    middle, side = len(offsets) // 2, len(offsets)
+    at_none = np.maximum(abs(best // side - middle), abs(best % side - middle)) <= 1
+    return _share_of_structured(np.asarray(at_none), power[0], sums(power[1]))
+
+
+def _share_without_specks(one: Float32, other: Float32, valid: Bool, window: int) -> float | None:
+    """Return the share of places that agree without specks that both have; None if it tells nothing.
+
+    Dust on a sensor or a window multiplies both frames by the same at the same pixels. Where all that agrees
+    lies there, the ground does not.
+    """
+    specks = _specks(one, other, valid)
+    if not 0 < specks.mean() <= SPECKS.most:
+        return None
+    filled = [_filled(values, specks) for values in (one, other)]
+    if min(_structure_by_noise(values, valid & ~specks) for values in filled) < SPECKS.structured:
+        return None
+    return _share_at_identity(filled[0], filled[1], valid & ~specks, window)
+
+
+def _specks(one: Float32, other: Float32, valid: Bool) -> Bool:
+    """Return the pixels of small specks that are much brighter, or much darker, in both images."""
+    first, second = (_outlying(values, valid) for values in (one, other))
+    alike = (np.minimum(first, second) > SPECKS.outlying) | (np.maximum(first, second) < -SPECKS.outlying)
+    kernel = np.ones((2 * SPECKS.grow_px + 1,) * 2)
+    grown = cv2.dilate((alike & valid).astype(np.uint8), kernel)
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(grown)
+    small = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= SPECKS.largest_px
+    return np.asarray(small[labels] & (labels > 0))
+
+
+def _outlying(values: Float32, valid: Bool) -> Float32:
+    """Return the deviations of pixels from their surroundings, robust sigmas."""
+    away = cv2.GaussianBlur(values - cv2.GaussianBlur(values, (0, 0), SPECKS.surroundings_px), (0, 0), 1.0)
+    middle = np.median(away[valid])
+    sigma = 1.4826 * float(np.median(np.abs(away[valid] - middle)))
+    return np.asarray((away - middle) / max(sigma, 1e-6), np.float32)
+
+
+def _filled(values: Float32, holes: Bool) -> Float32:
+    """Return values with holes filled smoothly from around them."""
+    filled, known = values.copy(), np.asarray(~holes)
+    weight = known.astype(np.float32)
+    for sigma_px in SPECKS.fill_px:
+        around = cv2.GaussianBlur(values * weight, (0, 0), sigma_px)
+        reached = cv2.GaussianBlur(weight, (0, 0), sigma_px)
+        new = ~known & np.asarray(reached > 0.05)
+        filled[new] = around[new] / reached[new]
+        known |= new
+    return filled
+
+
+def _structure_by_noise(values: Float32, valid: Bool) -> float:
+    """Return the ratio of the structure to that of white noise as strong as the finest differences."""
+    fine = values - cv2.blur(values, (3, 3))
+    inner, outer = PARAMETERS.smooth_px, 3 * PARAMETERS.smooth_px
+    passed = (1 / inner**2 + 1 / outer**2 - 4 / (inner**2 + outer**2)) / (4 * np.pi)  # of its variance
+    structure, noise = (float(np.median(np.abs(each[valid]))) for each in (_band(values, inner), fine))
+    return float(structure / max(noise * np.sqrt(9 / 8 * passed), 1e-12))
+
+
+def _share_of_structured(at_none: Bool, *powers: Float32) -> float | None:
+    """Return the share of places that agree, of those with most structure in either image."""
+    known = np.logical_and.reduce([power > 0 for power in powers])
+    if np.count_nonzero(known) * PARAMETERS.structured < PARAMETERS.min_places:
+        return None
+    relative = np.max([power[known] / np.median(power[known]) for power in powers], axis=0)
+    asked = relative >= np.quantile(relative, 1 - PARAMETERS.structured)
+    return float(at_none[known][asked].mean())
+
+
+def _rival(one: Float32, other: Float32, valid: Bool) -> tuple[float, float] | None:
+    """Return the displacement of ground that has moved, from the difference of both, if there is any.
+
+    What stands still cancels in the difference. Ground that has moved by d is in it twice, with opposite
+    signs, so that its power is multiplied by 2 - 2 cos(2πfd) at the frequency f: its cepstrum has a negative
+    peak at d. The images' own cepstra show whether the ground only repeats.
+    """
+    rows, cols = one.shape
+    taper = np.hanning(rows)[:, None] * np.hanning(cols)
+    first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
+    row, col = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(cols)
+    radius = np.hypot(row, col)
+    used = (radius < 1 / PARAMETERS.finest_px) & (radius > 1 / PARAMETERS.coarsest_px)
+    used &= (np.abs(row) > 2 / rows) & (np.abs(col) > 2 / cols)  # rows and columns that stand out
+    crossed = np.conj(first) * second * used
+    correlation = crossed.real.sum() / max(
+        np.linalg.norm(first * used) * np.linalg.norm(second * used), 1e-12
+    )
+    if abs(correlation) > PARAMETERS.same_correlation:
+        return None
+    sign = 1.0 if correlation >= 0 else -1.0
+    peaks = _cepstrum(first - sign * second, used)
+    far = np.maximum(np.abs(row * rows), np.abs(col * cols)) >= PARAMETERS.rival_min_px
+    at = np.unravel_index(np.argmax(np.where(far, peaks, 0)), peaks.shape)
+    cepstra = peaks, _cepstrum(first, used), _cepstrum(second, used)
+    depth, *own = (float(each[at] / (1.4826 * np.median(np.abs(each[far])))) for each in cepstra)
+    if depth < max(PARAMETERS.rival_z, PARAMETERS.rival_ratio * max(own)):
+        return None
+    phase = np.fft.ifft2(sign * crossed / (np.abs(crossed) + 1e-12)).real
+    both = [(int(at[0]), int(at[1])), (-int(at[0]) % rows, -int(at[1]) % cols)]
+    down, right = max(both, key=lambda place: phase[place])
+    return float(right - cols * (2 * right > cols)), float(down - rows * (2 * down > rows))
+
+
+def _common_grey(one: Float32, other: Float32, valid: Bool) -> float:
+    """Return the correlation of the grey values without shading, or of their finest structure if higher."""
+    pairs = (
+        tuple(_flattened(values, valid)[valid] for values in (one, other)),
+        tuple((values - cv2.GaussianBlur(values, (0, 0), 1))[valid] for values in (one, other)),
+    )
+    return max(float(np.corrcoef(*pair)[0, 1]) for pair in pairs)
+
+
+def _flattened(values: Float32, valid: Bool) -> Float64:
+    """Return values without shading and what whole rows or columns have, in standard deviations."""
+    flat = values - cv2.GaussianBlur(values, (0, 0), 12)
+    flat -= np.median(flat, axis=0)
+    flat -= np.median(flat, axis=1)[:, None]
+    flat *= valid
+    return np.asarray(np.clip(flat / max(float(flat.std()), 1e-12), -4, 4), np.float64)
+
+
+def _cepstrum(spectrum: NDArray[np.complex128], used: Bool) -> Float64:
+    """Return the (rows, cols) cepstrum of a spectrum in the frequencies that are `used`, its sign turned."""
+    power = np.abs(spectrum) ** 2
+    log = np.log(power + 1e-9 * power.max() + 1e-300)
+    return np.asarray(-np.fft.ifft2(np.where(used, log - log[used].mean(), 0)).real)

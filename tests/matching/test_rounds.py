@@ -1,0 +1,67 @@
+"""Small images: a few candidates first, and the others only where these do not agree."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.matching import AUTO_FEATURES
+from pcwlad_geo.matching.matcher import match_arrays
+from pcwlad_geo.matching.rounds import PARAMETERS, in_rounds
+from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from tests.matching.landscape import Landscape, constant
+
+SIDE = 230
+SHIFT_XY = (2.3, -3.6)
+AUTO = MatchSettings(template=61, window=61, search_radius=6)
+ALL = replace(AUTO, features=AUTO_FEATURES)
+
+
+@cache
+def image(band: int, shift_xy: tuple[float, float] = (0.0, 0.0), seed: int = 21) -> NDArray:
+    result = Landscape(seed).image(SIDE, band, constant(*shift_xy))
+    result.flags.writeable = False
+    return result
+
+
+def off_px(points: TiePoints) -> float:
+    return float(np.linalg.norm(points.displacement_px.mean(axis=0) - SHIFT_XY))
+
+
+def test_where_the_first_candidates_agree_no_others_are_matched() -> None:
+    few, many = (match_arrays(image(0), image(0, SHIFT_XY), settings=each) for each in (AUTO, ALL))
+    assert 60 <= len(few) <= 200
+    assert len(many) > 4 * len(few)
+    assert off_px(few) < 0.02
+    assert off_px(few) < off_px(many) + 0.01
+
+
+def test_where_they_disagree_all_are_matched_as_if_at_once() -> None:
+    target = image(1, SHIFT_XY).copy()
+    target[:, SIDE // 2 :] = image(1, SHIFT_XY, seed=5)[:, SIDE // 2 :]  # other ground in half of it
+    rounds, at_once = (match_arrays(image(0), target, settings=each) for each in (AUTO, ALL))
+    np.testing.assert_array_equal(rounds.reference_xy_px, at_once.reference_xy_px)
+    np.testing.assert_array_equal(rounds.target_xy_px, at_once.target_xy_px)
+    np.testing.assert_array_equal(rounds.covariance_px2, at_once.covariance_px2)
+
+
+@pytest.mark.parametrize(
+    ("settings", "area_px2", "first"),
+    [
+        (AUTO, 200.0**2, PARAMETERS.least),
+        (AUTO, 500.0**2, 250),
+        (AUTO, 1000.0**2, None),
+        (ALL, 200.0**2, None),
+        (replace(AUTO, keypoints="strongest"), 200.0**2, None),
+        (replace(AUTO, method="pcwlad"), 200.0**2, None),
+        (replace(AUTO, method="gradient"), 200.0**2, PARAMETERS.least),
+    ],
+)
+def test_the_first_candidates_follow_from_the_area(
+    settings: MatchSettings, area_px2: float, first: int | None
+) -> None:
+    chosen = in_rounds(settings, area_px2)
+    assert chosen.first_features == first
+    assert chosen.features == AUTO_FEATURES

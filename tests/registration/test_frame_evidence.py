@@ -1,0 +1,168 @@
+"""What stands still in both frames is no ground: found, matched without, or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.frame_evidence import FrameEvidence, frame_evidence
+from pcwlad_geo.registration.run import run
+from tests.scenes import make_grid, render, write
+
+Array = NDArray[np.float64]
+
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+SHAPE = (320, 320)
+POINTS = np.random.default_rng(0).uniform(20, 300, (200, 2))
+PATTERN = np.random.default_rng(1).normal(0, 6, SHAPE)
+STRIPES = np.random.default_rng(2).normal(0, 6, (1, SHAPE[1]))
+
+
+def ground(
+    seed: int = 0, moved_px: tuple[float, float] = (0, 0), band: str = "red", noise: float = 2
+) -> Array:
+    values = render(make_grid(SHAPE), band, seed=seed, displacement_px=moved_px, noise=0)
+    return values + np.random.default_rng(seed + 7).normal(0, noise, SHAPE)
+
+
+def frame(path: Path, values: Array) -> Path:
+    return write(path, np.clip(np.rint(values), 0, 255).astype("uint8"), None, dtype="uint8")
+
+
+def evidence(folder: Path, one: Array, other: Array) -> FrameEvidence | None:
+    infos = [describe(frame(folder / name, values)) for name, values in (("a.tif", one), ("b.tif", other))]
+    return frame_evidence(*infos, POINTS, POINTS + 0.01)
+
+
+@pytest.mark.parametrize("pattern", [PATTERN, STRIPES])
+def test_a_pattern_over_other_ground_is_no_evidence_of_the_ground(tmp_path: Path, pattern: Array) -> None:
+    found = evidence(tmp_path, ground(0) + pattern, ground(1) + pattern)
+    assert found is not None
+    assert found.is_frame
+    assert found.doubt is not None
+    assert "stands still in both frames" in found.doubt
+
+
+@pytest.mark.parametrize("band", ["red", "thermal"])
+@pytest.mark.parametrize("pattern", [0 * PATTERN, PATTERN, STRIPES])
+def test_ground_in_place_is_told_whatever_the_sensor_adds(tmp_path: Path, band: str, pattern: Array) -> None:
+    other = ground(0, band=band, noise=0) + np.random.default_rng(8).normal(0, 4, SHAPE)
+    found = evidence(tmp_path, ground(0) + pattern, other + pattern)
+    assert found is None or found.doubt is None
+
+
+def test_the_difference_of_both_shows_how_the_ground_has_moved(tmp_path: Path) -> None:
+    found = evidence(tmp_path, ground(0) + PATTERN, ground(0, (23, -11)) + PATTERN)
+    assert found is not None
+    assert found.rival_px == (23, -11)
+
+
+def test_moved_ground_that_draws_the_points_is_seen(tmp_path: Path) -> None:
+    frames = ground(0) + PATTERN, ground(0, (23, -11)) + PATTERN
+    infos = [describe(frame(tmp_path / f"{n}.tif", each)) for n, each in enumerate(frames)]
+    found = frame_evidence(*infos, POINTS, POINTS + np.array([0.2, -0.2]))
+    assert found is not None
+    assert found.rival_px == (23, -11)
+
+
+def test_ground_that_repeats_is_no_rival(tmp_path: Path) -> None:
+    rows = 20 * np.sign(np.sin(np.arange(SHAPE[0]) * 2 * np.pi / 16))[:, None]
+    found = evidence(tmp_path, 0.5 * ground(0) + 60 + rows, 0.5 * ground(0) + 60 - 0.7 * rows)
+    assert found is None or found.rival_px is None
+
+
+def test_images_without_a_common_pattern_are_not_asked(tmp_path: Path) -> None:
+    one, other = (np.random.default_rng(seed).normal(100, 20, SHAPE) for seed in (3, 4))
+    assert evidence(tmp_path, one, other) is None
+
+
+def test_a_copy_of_an_image_shows_no_ground_that_has_moved(tmp_path: Path) -> None:
+    found = evidence(tmp_path, ground(), ground())
+    assert found is not None
+    assert found.rival_px is None
+    assert found.doubt is None
+
+
+def test_only_points_on_the_same_pixels_are_asked_for(tmp_path: Path) -> None:
+    infos = [describe(frame(tmp_path / f"{n}.tif", ground(n) + PATTERN)) for n in range(2)]
+    assert frame_evidence(*infos, POINTS, POINTS + 0.2) is None
+    assert frame_evidence(*infos, POINTS, POINTS + 0.7) is None
+    other = describe(frame(tmp_path / "c.tif", ground(0)[:-1]))
+    assert frame_evidence(infos[0], other, POINTS, POINTS) is None
+
+
+def faint(
+    seed: int, moved_px: tuple[float, float] = (0, 0), noise_seed: int = 0, contrast: float = 0.12
+) -> Array:
+    """Return a frame of ground without much contrast under the fixed pattern of the sensor."""
+    noise = np.random.default_rng(noise_seed).normal(0, 1.5, SHAPE)
+    return 127 + contrast * (ground(seed, moved_px, noise=0) - 127) + PATTERN + noise
+
+
+def test_frames_that_share_only_their_pattern_are_not_registered(tmp_path: Path) -> None:
+    paths = [frame(tmp_path / f"{n}.tif", faint(n, noise_seed=n)) for n in range(2)]
+    found = run(*paths, Settings(jobs=1))
+    assert found.status == "rejected"
+    assert "stands still in both frames" in str(found.reason)
+
+
+def dusty(seed: int, side: int, dust: Array, noise_seed: int) -> Array:
+    """Return a part of a frame of faint ground seen through dust: some grey spots that hide most of it."""
+    noise = np.random.default_rng(noise_seed).normal(0, 1.5, SHAPE)
+    seen = 127 + 0.12 * (ground(seed, noise=0) - 127) + noise
+    return ((1 - dust) * seen + dust * 30)[:side, :side]
+
+
+@pytest.fixture(scope="module")
+def dust() -> Array:
+    rng, canvas = np.random.default_rng(54), np.zeros(SHAPE, np.uint8)
+    for place in rng.integers(320, size=(25, 2)).tolist():
+        cv2.circle(canvas, place, int(rng.integers(3, 9)), int(rng.integers(60, 255)), -1)
+    return np.asarray(0.7 * canvas / 255.0)
+
+
+@pytest.mark.parametrize("side", [320, 240])
+def test_dust_over_other_ground_is_no_evidence_of_the_ground(tmp_path: Path, dust: Array, side: int) -> None:
+    found = evidence(tmp_path, dusty(0, side, dust, 1), dusty(1, side, dust, 2))
+    assert found is not None
+    assert found.is_frame
+    assert found.doubt is not None
+    assert "without small specks that both have" in found.doubt
+
+
+@pytest.mark.parametrize("side", [320, 240])
+def test_ground_in_place_under_dust_is_told(tmp_path: Path, dust: Array, side: int) -> None:
+    found = evidence(tmp_path, dusty(0, side, dust, 1), dusty(0, side, dust, 2))
+    assert found is not None
+    assert found.doubt is None
+
+
+def test_specks_over_nothing_but_noise_tell_nothing(tmp_path: Path, dust: Array) -> None:
+    frames = [100 + 120 * dust + np.random.default_rng(seed).normal(0, 4, SHAPE) for seed in (1, 2)]
+    found = evidence(tmp_path, *frames)
+    assert found is None or found.doubt is None
+
+
+@pytest.mark.slow
+def test_dust_over_other_ground_is_refused(tmp_path: Path, dust: Array) -> None:
+    paths = [frame(tmp_path / f"{n}.tif", dusty(n, 320, dust, n)) for n in range(2)]
+    found = run(*paths, Settings(jobs=1))
+    assert found.status == "rejected"
+    assert "stands still in both frames" in str(found.reason)
+
+
+def test_ground_under_the_pattern_is_found(tmp_path: Path) -> None:
+    moved_px = (17.3, -11.6)
+    frames = faint(0, contrast=0.3), faint(0, moved_px, 1, contrast=0.3)
+    paths = [frame(tmp_path / f"{n}.tif", each) for n, each in enumerate(frames)]
+    found = run(*paths, Settings(jobs=1, features=1000))
+    assert found.status == "registered"
+    points = found.tie_points.select("fit", "check", "unused")
+    np.testing.assert_allclose(np.median(points.displacement_px, axis=0), moved_px, atol=0.1)
