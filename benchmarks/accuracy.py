@@ -22,7 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.runs import Runner
 from benchmarks.studies.bands import bands
+from benchmarks.studies.candidates import candidates
 from benchmarks.studies.closure import closure
+from benchmarks.studies.crs import crs
 from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
 from benchmarks.studies.jitter import jitter
@@ -62,7 +64,9 @@ STUDIES: dict[str, Study] = {
     "field": displacement_field,
     "sigma": sigma,
     "closure": closure,
+    "crs": crs,
     "bands": bands,
+    "candidates": candidates,
     "rpc": rpc,
     "refit": refit,
     "refusal": refusal,

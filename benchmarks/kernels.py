@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.tables import Check, Table, as_text, at_most
 from benchmarks.timing import cheapest
 from pcwlad_geo.execution.runner import one_opencv_thread
+from pcwlad_geo.matching import Image
 from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
 from pcwlad_geo.matching.maps import (
@@ -33,7 +34,8 @@ from pcwlad_geo.matching.maps import (
     oriented_phase_congruency,
     scene_epsilon,
 )
-from pcwlad_geo.matching.prepare import MIN_SMOOTHING_PX, Image, prepare
+from pcwlad_geo.matching.noise import NOISE
+from pcwlad_geo.matching.prepare import prepare
 
 SIDES_PX: Final = (512, 1300, 2048)
 ROUNDS: Final = 5
@@ -94,7 +96,7 @@ def phase_congruency_cost(side_px: int = SIDES_PX[-1], rounds: int = ROUNDS) -> 
         lambda: oriented_phase_congruency(padded, epsilon),
         lambda: maximum_moment(maps),
         lambda: prepare(whole, whole, channels="orientations"),
-        lambda: oriented_gradients(image, epsilon, MIN_SMOOTHING_PX),
+        lambda: oriented_gradients(image, epsilon, NOISE.least_smoothing_px),
     ]
     with one_opencv_thread():
         costs = cheapest(stages, rounds)

@@ -15,7 +15,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy import ndimage
 
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.rig import Lens, coefficients_of, resample
+from pcwlad_geo.rigs.lens import Lens
+from pcwlad_geo.rigs.warping import coefficients_of, resample
 
 Array = NDArray[np.float64]
 GROUND_M = 0.05

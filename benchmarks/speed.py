@@ -4,6 +4,7 @@ Usage::
 
     python benchmarks/speed.py --stack [SCENES] [--jobs N]
     python benchmarks/speed.py --small [PAIRS] [--arosics PYTHON]
+    python benchmarks/speed.py --chips [PAIRS]
     python benchmarks/speed.py --peers [--sizes PX ...] [--counts POINTS ...] [--plot FILE] [--arosics PYTHON]
     python benchmarks/speed.py [--quick] [--scratch FOLDER] [--arosics PYTHON]
 
@@ -33,7 +34,7 @@ from benchmarks.speed_studies import gdal_warp, limits, parts, peers, peers_plot
 from benchmarks.speed_studies import whole_scenes as w
 from benchmarks.speed_studies.processes import measure
 from benchmarks.speed_studies.scene_files import ScenePair, make_pair
-from benchmarks.speed_studies.small_pairs import BATCH_PAIRS, small_pairs
+from benchmarks.speed_studies.small_pairs import BATCH_PAIRS, growth, many_pairs, small_pairs
 from benchmarks.speed_studies.stack import stack_of_scenes
 from benchmarks.tables import Cell, Check, Table, as_text, at_most
 
@@ -54,6 +55,10 @@ def main() -> int:
         if arguments.stack:
             for table in stack_of_scenes(scratch, arguments.stack, arguments.jobs):
                 print(as_text(table), flush=True)
+            return 0
+        if arguments.chips:
+            for make in (many_pairs, growth):
+                print("\n" + as_text(make(scratch, arguments.chips)), flush=True)
             return 0
         checks: list[Check] = []
         if not arguments.small:
@@ -213,6 +218,7 @@ def _parse() -> argparse.Namespace:
     for name, count, what in (
         ("--stack", STACK_SCENES, "a stack of so many scenes"),
         ("--small", BATCH_PAIRS, "a small pair, and so many in a batch,"),
+        ("--chips", BATCH_PAIRS, "a batch of so many small pairs alone, and how its memory grows,"),
     ):
         parser.add_argument(
             name, type=int, nargs="?", const=count, help=f"measure {what} instead (default: {count})"

@@ -18,6 +18,8 @@ from benchmarks.pairs import Image, landsat, rgbnir, uav
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 SIDES_PX: Final = (160, 513)
 """Least side of a part, and what every side is below; an image that is smaller is taken whole."""
+CHIP_SIDES_PX: Final = (64, 161)
+"""The same of chips, which fit few windows."""
 GAP_PX: Final = 48
 """Least distance between two parts of one scene: bands of one frame are up to 25 px apart."""
 MIN_LONG_PX: Final = 400
@@ -143,10 +145,10 @@ def halves(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[Box, Box]:
     return (0, 0, rows, begin), (0, end, rows, cols - end)
 
 
-def random_box(rng: np.random.Generator, within: Box) -> Box:
+def random_box(rng: np.random.Generator, within: Box, sides_px: tuple[int, int] = SIDES_PX) -> Box:
     """Return a box within another; a side that is short is taken whole."""
     row, col, *most = within
-    sides = [min(int(rng.integers(*SIDES_PX)), side) for side in most]
+    sides = [min(int(rng.integers(*sides_px)), side) for side in most]
     down, across = (int(rng.integers(side - part + 1)) for side, part in zip(most, sides, strict=True))
     return row + down, col + across, sides[0], sides[1]
 
@@ -180,6 +182,16 @@ def unrelated_parts(data: Path, number: int, seed: int) -> tuple[str, Part, Part
     rng = np.random.default_rng([seed, number])
     name, pair = list(PAIRINGS.items())[number % len(PAIRINGS)]
     return name, *pair(rng, scenes(data), pose_pictures(data))
+
+
+def unrelated_chips(data: Path, number: int, seed: int) -> tuple[str, Part, Part]:
+    """Return chips of the parts that `unrelated_parts` gives for a number."""
+    rng = np.random.default_rng([seed, number, CHIP_SIDES_PX[0]])
+    name, *parts = unrelated_parts(data, number, seed)
+    first, second = (
+        _with_content(part.picture, partial(random_box, rng, part.box, CHIP_SIDES_PX)) for part in parts
+    )
+    return name, first, second
 
 
 Pairing = Callable[[np.random.Generator, list[Picture], list[Picture]], tuple[Part, Part]]

@@ -1,1 +1,1 @@
-"""Fuzzing, chaos and what they share: damaged inputs for the real command line. See docs/fuzzing.md."""
+"""Fuzzing and chaos: damaged inputs for the real command line. See docs/development/fuzzing.md."""

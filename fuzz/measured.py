@@ -1,4 +1,4 @@
-"""Make the table of docs/robustness.md anew: what faults, kills, defects, many calls and damaged inputs do.
+"""Make the table of docs/development/robustness.md anew: faults, kills, defects, calls, damaged inputs.
 
 Usage::
 
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Final
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
-PAGE: Final = REPOSITORY / "docs" / "robustness.md"
+PAGE: Final = REPOSITORY / "docs" / "development" / "robustness.md"
 BEGIN: Final = "<!-- measured: python fuzz/measured.py --write -->"
 END: Final = "<!-- /measured -->"
 HEADER: Final = ("| what is done | measured by | found |", "|---|---|---|")
@@ -128,7 +128,7 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", action="append", choices=[*PARTS], help="this part; repeatable")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--module", default="stages", help="of the defects (stages)")
-    parser.add_argument("--write", action="store_true", help="put the rows into docs/robustness.md")
+    parser.add_argument("--write", action="store_true", help="put the rows into the page")
     for name in FULL:
         parser.add_argument("--" + name.replace("_", "-"), type=int, metavar="N")
     return parser.parse_args(arguments)

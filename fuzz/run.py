@@ -6,7 +6,7 @@ Usage::
     python fuzz/run.py --replay FOLDER…
 
 The kept inputs of `fuzz/corpus/hostile` are run first, as they are, then N mutants. The same seed gives the
-same mutants, whatever the jobs. The exit status is 1 if there are failures: see docs/fuzzing.md.
+same mutants, whatever the jobs. The exit status is 1 if there are failures: see docs/development/fuzzing.md.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
         "tests/matching/test_outlier_limits.py",
         "tests/matching/test_outliers.py",
     ),
+    "pcwlad_geo/matching/clusters.py": ("tests/matching/test_outliers.py",),
     "pcwlad_geo/cli/job.py": ("tests/cli/test_interrupt.py",),
     "pcwlad_geo/limits.py": ("tests/common/test_limit_checks.py",),
     "pcwlad_geo/raster/warped_views.py": ("tests/raster/test_unread.py",),

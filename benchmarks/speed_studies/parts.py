@@ -23,15 +23,14 @@ from rasterio.windows import Window
 
 from benchmarks.speed_studies.scene_files import ScenePair
 from benchmarks.timing import Cost, cheapest
-from pcwlad_geo.matching import keypoints
+from pcwlad_geo.matching import Image, MatchSettings, keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
+from pcwlad_geo.matching.first_pass import margin_px
 from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
 from pcwlad_geo.matching.maps import scene_epsilon
-from pcwlad_geo.matching.matcher import margin_px
-from pcwlad_geo.matching.prepare import Image, PreparedPair, prepare
+from pcwlad_geo.matching.prepare import PreparedPair, prepare
 from pcwlad_geo.matching.refinement import InitialEstimate, refine
-from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe

@@ -145,6 +145,11 @@ class _Sampler:
             pause_s = max(INTERVAL_S, (time.thread_time() - begun) / SHARE_OF_A_CORE)
 
 
+def resident_mb(pid: int) -> float:
+    """Return the memory that a process holds, 10^6 bytes."""
+    return _rss_bytes(pid) / 1e6
+
+
 def _children(pid: int) -> Iterator[int]:
     for children in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):  # the thread, or the process, has just ended

@@ -8,17 +8,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from os import environ
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from rasterio.windows import Window
 
 from benchmarks.speed_studies import whole_scenes as w
 from benchmarks.speed_studies.parts import crop
-from benchmarks.speed_studies.processes import Measured, measure, on_cores
+from benchmarks.speed_studies.processes import Measured, measure, on_cores, resident_mb
 from benchmarks.speed_studies.scene_files import make_pair
 from benchmarks.tables import Cell, Table, at_most
+from benchmarks.timing import Cost, cheapest
+from pcwlad_geo.options import Settings
+from pcwlad_geo.registration import run
 
 SIDE_PX: Final = 512
 BATCH_SIDE_PX: Final = 256
@@ -33,6 +38,38 @@ def small_pairs(scratch: Path, arosics: Path | None, pairs: int, repeats: int) -
     """Yield what a pair costs, good and hopeless, beside AROSICS; then what a batch of so many costs."""
     yield one_pair(scratch, arosics, repeats)
     yield many_pairs(scratch, pairs)
+
+
+GROWTH_PARTS: Final = 4
+"""Parts of the time of a batch whose memory is compared."""
+
+
+def growth(scratch: Path, count: int) -> Table:
+    """Register small pairs in one process, over and over; print the memory it holds by part of the work.
+
+    The same pairs serve again, each time into other folders: what a pair leaves in memory adds up.
+    """
+    table, out = scratch / "pairs.csv", scratch / "batch"
+    shutil.rmtree(out, ignore_errors=True)
+    pairs = list(cut(scratch, min(count, BATCH_PAIRS)))
+    table.write_text(
+        "reference,target\n" + "".join("{},{}\n".format(*pairs[n % len(pairs)]) for n in range(count))
+    )
+    command = [*_PROGRAM, "batch", str(table), "-o", str(out), "--no-report", "--jobs", "1", "--overwrite"]
+    held_mb: list[float] = []
+    with subprocess.Popen(
+        [*command, "--progress", "json"], stdout=subprocess.PIPE, text=True, env=environ | _ENVIRONMENT
+    ) as process:
+        for line in process.stdout or ():
+            event = json.loads(line)
+            if event.get("stage") == "pairs":
+                held_mb.append(resident_mb(process.pid))
+    parts = np.array_split(np.array(held_mb), GROWTH_PARTS)
+    medians = [float(np.median(part)) for part in parts]
+    rows: list[list[Cell]] = [[f"{n + 1} of {GROWTH_PARTS}", f"{mb:.0f}"] for n, mb in enumerate(medians)]
+    check = at_most("batch: memory in the last quarter / in the second", medians[-1] / medians[1], 1.05)
+    title = f"memory of one process over {count} pairs of {BATCH_SIDE_PX}²"
+    return Table(title, ("part", "MB"), rows, [check])
 
 
 def one_pair(scratch: Path, arosics: Path | None, repeats: int) -> Table:
@@ -58,6 +95,8 @@ def one_pair(scratch: Path, arosics: Path | None, repeats: int) -> Table:
     cpu = {name: min(cost.cpu_s for cost in runs) for name, runs in costs.items() if runs}
     rows: list[list[Cell]] = [[name, wall[name], cpu[name]] for name in wall]
     rows.append(["match, until its pixels are read", min(pixels_s), "-"])
+    fitted = fit_cost(scratch, repeats)
+    rows.append([f"fit of {BATCH_SIDE_PX}² alone", fitted.wall_s, fitted.cpu_s])
     refused = cpu["match, refused"] / cpu["match"]
     checks = [
         at_most(f"match, {SIDE_PX}²: wall time", wall["match"], 2.5, "s"),
@@ -78,16 +117,17 @@ def one_pair(scratch: Path, arosics: Path | None, repeats: int) -> Table:
 def many_pairs(scratch: Path, count: int) -> Table:
     """Register pairs of BATCH_SIDE_PX in one `batch`, on one core and on two: there each pair has one.
 
-    The matching is summed over the pairs, as their reports tell it.
+    On one core also without pages. The matching is summed over the pairs, as their reports tell it.
     """
     table, out = scratch / "pairs.csv", scratch / "batch"
     table.write_text("reference,target\n" + "".join(f"{one},{other}\n" for one, other in cut(scratch, count)))
     command = [*_PROGRAM, "batch", str(table), "-o", str(out), "--progress", "none", "--overwrite"]
     rows: list[list[Cell]] = []
-    for cores in (1, 2):
+    checks = []
+    for cores, page, limit_s in ((1, True, 1.5), (1, False, 0.8), (2, True, None)):
         shutil.rmtree(out, ignore_errors=True)  # the reports of an earlier run would count
         with on_cores(cores):
-            cost = measure(command, environment=_ENVIRONMENT)
+            cost = measure(command if page else [*command, "--no-report"], environment=_ENVIRONMENT)
         reports = [json.loads(path.read_text(encoding="utf-8")) for path in out.glob("*/report.json")]
         if len(reports) < count:
             raise RuntimeError(f"{count - len(reports)} of {count} pairs have no report: {cost.reason}")
@@ -95,11 +135,22 @@ def many_pairs(scratch: Path, count: int) -> Table:
         matching_s = sum(spent)
         registered = sum(report["status"] == "registered" for report in reports)
         ratio = cost.wall_s / matching_s
-        rows.append([str(cores), cost.wall_s, cost.cpu_s, matching_s, ratio, f"{cost.peak_mb:.0f}"])
-    check = at_most(f"batch of {count} pairs on two cores: wall time / its matching", ratio, 1.1)
+        label = f"{cores}, with report" if page else f"{cores}, without"
+        a_pair_s = cost.cpu_s / count
+        rows.append([label, cost.wall_s, cost.cpu_s, a_pair_s, matching_s, ratio, f"{cost.peak_mb:.0f}"])
+        if limit_s is not None:
+            what = f"batch of {count} pairs, {'with' if page else 'without'} report: CPU time a pair"
+            checks.append(at_most(what, a_pair_s, limit_s, "s"))
+    checks.append(at_most(f"batch of {count} pairs on two cores: wall time / its matching", ratio, 1.1))
     title = f"batch of {count} pairs of {BATCH_SIDE_PX}², {registered} of them registered"
-    columns = ("cores", "wall s", "CPU s", "matching s", "wall / matching", "MB")
-    return Table(title, columns, rows, [check])
+    columns = ("cores", "wall s", "CPU s", "CPU s a pair", "matching s", "wall / matching", "MB")
+    return Table(title, columns, rows, checks)
+
+
+def fit_cost(scratch: Path, repeats: int) -> Cost:
+    """Measure the fit of a matched pair of BATCH_SIDE_PX, in this process, warm; the least of several."""
+    pair = run.open_pair(*next(cut(scratch, 1)), Settings())
+    return cheapest([partial(run.fit, run.match(pair, run.InThisProcess()))], repeats)[0]
 
 
 def strangers(scratch: Path) -> list[str]:

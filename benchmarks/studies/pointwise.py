@@ -33,7 +33,7 @@ def pointwise(data: Path, _scratch: Path, runner: Runner) -> Iterator[Table]:
             before, after = runner(
                 [Job(pair.reference, target, settings) for target in (pair.undisplaced, pair.target)]
             )
-            error = _errors(before, after) - pair.truth
+            error = moved_minus_unmoved(before, after) - pair.truth
             gross = np.hypot(*error.T) > GROSS_PX
             good = error[~gross]
             deviation = 1.4826 * np.median(np.abs(good - np.median(good, axis=0)), axis=0)
@@ -47,7 +47,7 @@ def pointwise(data: Path, _scratch: Path, runner: Runner) -> Iterator[Table]:
     yield Table("Moved minus unmoved result, minus the known move, at the same points, px", header, rows)
 
 
-def _errors(before: Outcome, after: Outcome) -> Array:
+def moved_minus_unmoved(before: Outcome, after: Outcome) -> Array:
     """Return the displacements after the move minus those before, of the points that both have."""
     places = {tuple(place): row for row, place in enumerate(before.points.reference_px)}
     both = [

@@ -41,7 +41,7 @@ from benchmarks.scores import distance_to_lines, fundamental_matrix, score
 from benchmarks.studies.refusal import CRS, GRID
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from benchmarks.timing import cheapest
-from benchmarks.unrelated import PAIRINGS, REPOSITORY, Part, unrelated_parts
+from benchmarks.unrelated import PAIRINGS, REPOSITORY, Part, unrelated_chips, unrelated_parts
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching.pose import poses_by_grey_values, search_pose
 from pcwlad_geo.options import Settings
@@ -82,6 +82,8 @@ SEARCHED: Final = (0.25, 4.0)
 """Scales that the tool looks for: a pair of two pixel sizes is not warped beyond them."""
 UNRELATED_CASES: Final = 2000
 UNRELATED_AT_A_TIME: Final = 200
+CHIP_CASES: Final = 1000
+CHIP_SETTINGS: Final = Settings(features=300)
 NODATA: Final = -9999.0
 SEARCH_S, REFUSED_S = 2.0, 4.0
 UNSEARCHED_RATIO: Final = 1.02
@@ -618,16 +620,18 @@ def _warp_once(
 # --- unrelated pairs
 
 
-def _unrelated(data: Path, scratch: Path, runner: Runner, share: float) -> Iterator[Table]:
-    """Yield a table after every batch: how many pairs so far, and those accepted."""
-    numbers = spread_sample(UNRELATED_CASES, share, SEED)
+def _unrelated(
+    data: Path, scratch: Path, runner: Runner, share: float, *, chips: bool = False
+) -> Iterator[Table]:
+    """Yield a table after every batch: how many pairs, or `chips`, so far, and those accepted."""
+    numbers = spread_sample(CHIP_CASES if chips else UNRELATED_CASES, share, SEED)
     tried = dict.fromkeys(PAIRINGS, 0)
     refused_s: list[float] = []
     accepted: list[tuple[str, Outcome]] = []
     for begin in range(0, len(numbers), UNRELATED_AT_A_TIME):
         batch = numbers[begin : begin + UNRELATED_AT_A_TIME]
         with TemporaryDirectory(dir=scratch) as folder:
-            made = [_unrelated_job(data, number, Path(folder)) for number in batch]
+            made = [_unrelated_job(data, number, Path(folder), chips=chips) for number in batch]
             outcomes = Runner(runner.processes)([job for _, _, job in made])  # one that forgets
         for (pairing, name, _), outcome in zip(made, outcomes, strict=True):
             tried[pairing] += 1
@@ -636,23 +640,27 @@ def _unrelated(data: Path, scratch: Path, runner: Runner, share: float) -> Itera
         rows: list[list[Cell]] = [[pairing, count, ""] for pairing, count in tried.items()]
         rows += [[f"  ACCEPTED {name}", "", _told(outcome)] for name, outcome in accepted]
         done = begin + len(batch)
-        title = f"Unrelated pairs, {done} of {len(numbers)}: {len(accepted)} accepted"
+        what = "chips" if chips else "pairs"
+        title = f"Unrelated {what}, {done} of {len(numbers)}: {len(accepted)} accepted"
         title += f", {np.mean(refused_s or math.nan):.1f} s of CPU a refused one"
         last = (
-            [at_most("unrelated pairs accepted", len(accepted), 0, digits=0)] if done == len(numbers) else []
+            [at_most(f"unrelated {what} accepted", len(accepted), 0, digits=0)]
+            if done == len(numbers)
+            else []
         )
         yield Table(title, ("", "pairs", ""), rows, last)
 
 
-def _unrelated_job(data: Path, number: int, folder: Path) -> tuple[str, str, Job]:
+def _unrelated_job(data: Path, number: int, folder: Path, *, chips: bool) -> tuple[str, str, Job]:
     """Return what is paired, a name, and the job. Half of the pairs claim the same georeferencing."""
-    pairing, first, second = unrelated_parts(data, number, SEED)
+    pairing, first, second = (unrelated_chips if chips else unrelated_parts)(data, number, SEED)
     grid, crs = (GRID, CRS) if number // len(PAIRINGS) % 2 else (None, None)
 
     def written(which: str, part: Part) -> Path:
         return write(folder / f"{number}_{which}.tif", part.image, grid, crs, part.nodata)
 
-    job = Job(written("reference", first), written("target", second), SETTINGS, match_only=False)
+    settings = CHIP_SETTINGS if chips else SETTINGS
+    job = Job(written("reference", first), written("target", second), settings, match_only=False)
     return pairing, f"{number}: {first} - {second}", job
 
 
@@ -707,5 +715,6 @@ PARTS: Final[dict[str, Callable[[Path, Path, Runner, float], Iterator[Table]]]] 
     "warped": _warped,
     "beyond": _beyond_similarities,
     "unrelated": _unrelated,
+    "chips": partial(_unrelated, chips=True),
 }
 """What the study consists of, the shortest first."""

@@ -16,6 +16,8 @@ from benchmarks.displacing import Field
 from benchmarks.pairs import Image, as_uint8, write
 from benchmarks.quality_scenes import CONDITIONS, HARDER, grounds
 from benchmarks.runs import Array, Job, Outcome, Runner
+from benchmarks.studies.quality_frame import frame
+from benchmarks.studies.quality_rivals import periods, seams
 from benchmarks.studies.quality_sets import (
     CRS,
     FINE_PX,
@@ -148,6 +150,9 @@ QUALITY_PARTS: Final[dict[str, Callable[[Path, Path, Runner], Iterator[Table]]]]
     "stacks": stacks,
     "rigs": rigs,
     "blocks": blocks,
+    "frame": frame,
+    "periods": periods,
+    "seams": seams,
 }
 """What is graded."""
 

@@ -26,7 +26,8 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.multi.stack_result import Stack, StackImage
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.rigs.run import rig_apply, rig_learn
+from pcwlad_geo.rigs.applying_run import rig_apply
+from pcwlad_geo.rigs.learning_run import rig_learn
 from tests.multi.rpc_views import view_rpc, write_view
 from tests.rpc_scene import UNDULATION_M, dem_grid, dem_values, rpc_grid, write_dem
 

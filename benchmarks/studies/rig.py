@@ -30,8 +30,10 @@ from benchmarks.rig_scenes import (
 from benchmarks.runs import Runner
 from benchmarks.tables import Cell, Table, at_least, at_most, within
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.rig import Rig, lattice
-from pcwlad_geo.rigs.run import RigApplied, rig_apply, rig_learn
+from pcwlad_geo.rigs.applying_run import RigApplied, rig_apply
+from pcwlad_geo.rigs.learning_run import rig_learn
+from pcwlad_geo.rigs.lens import lattice
+from pcwlad_geo.rigs.rig import Rig
 
 WINDOW: Final = 128
 """Side of the windows of the independent measure, px; they do not overlap."""

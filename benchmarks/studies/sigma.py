@@ -38,6 +38,7 @@ class Condition:
 
 CONDITIONS: Final = (
     Condition("countryside, red - thermal", countryside),
+    Condition("  default candidates", countryside, settings=replace(SETTINGS, features=None)),
     Condition("  noise 0.3", countryside, noise=0.3),
     Condition("  target blurred by 2 px", countryside, blur_px=2.0),
     Condition("  window 41", countryside, settings=replace(SETTINGS, window=41)),

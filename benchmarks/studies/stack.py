@@ -15,12 +15,13 @@ from scipy import ndimage
 from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Table, at_least, at_most
 from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.execution.processes import open_runner
+from pcwlad_geo.execution.workers import open_runner
 from pcwlad_geo.multi.adjustment import Adjustment, adjust
 from pcwlad_geo.multi.network import Edge
-from pcwlad_geo.multi.stack import additional_pairs
+from pcwlad_geo.multi.pair_choice import additional_pairs, candidates, choose_pairs, read_overview
+from pcwlad_geo.multi.stack_frame import StackFrame
 from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_pairs import StackFrame, candidates, choose_pairs, measure, read_overview
+from pcwlad_geo.multi.stack_pairs import measure
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
@@ -60,7 +61,7 @@ def stack(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     given = [frame.given(number) for number in range(IMAGES)]
     found = candidates(frame, given, [read_overview(info) for info in frame.infos])
     chosen = choose_pairs(found, IMAGES)
-    with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
+    with open_runner(None, _ignore, jobs=runner.processes) as pool:
         measured = list(measure(frame, chosen, scratch / "out", Settings(), False, _ignore, pool))
         edges = [edge for edge, _ in measured if edge is not None]
         more = additional_pairs(frame, found, chosen, edges, adjust(edges, IMAGES))
@@ -114,7 +115,7 @@ def _bands(data: Path, scratch: Path, runner: Runner) -> Table:
     infos = [given.describe() for given in inputs]
     frame = StackFrame([given.name for given in inputs], infos, infos[0].grid, True, inputs)
     chosen = list(combinations(range(len(inputs)), 2))
-    with open_runner(None, _ignore, jobs=runner.processes, scheduler=None, preload="numpy") as pool:
+    with open_runner(None, _ignore, jobs=runner.processes) as pool:
         measured = list(measure(frame, chosen, scratch / "bands", Settings(), False, _ignore, pool))
     edges = [edge for edge, _ in measured if edge is not None]
     left: list[Array] = []

@@ -17,7 +17,7 @@ from benchmarks.speed_studies.processes import measure
 from benchmarks.tables import Table, at_least, at_most
 from pcwlad_geo.estimation.time_series import SeriesModel, analyse
 from pcwlad_geo.multi.ground_motion import GroundMotion
-from pcwlad_geo.multi.stack_pairs import Candidate, choose_pairs
+from pcwlad_geo.multi.pair_choice import Candidate, choose_pairs
 from pcwlad_geo.multi.watch import watch
 from tests.multi.watched import REGION, SIDE, Dated, make_stack
 
