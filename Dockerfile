@@ -22,13 +22,11 @@ RUN /opt/pcwlad-geo/bin/pip install --no-cache-dir -c /dist/constraints.txt "$(e
 COPY --chmod=755 container/entrypoint /usr/local/bin/entrypoint
 ENV HOME=/tmp \
     PATH=/opt/pcwlad-geo/bin:$PATH \
-    PCWLAD_GEO_CACHE=/var/cache/pcwlad-geo \
-    MPLCONFIGDIR=/var/cache/pcwlad-geo/matplotlib \
     PYTHONDONTWRITEBYTECODE=1
-RUN useradd --no-create-home --uid 1000 pcwlad && install -d -o pcwlad -g pcwlad /var/cache/pcwlad-geo /data
+RUN useradd --no-create-home --uid 1000 pcwlad && install -d -o pcwlad -g pcwlad /data
 USER pcwlad
-# lists the fonts, once; others may read the list
-RUN pcwlad-geo demo /tmp/demo --progress none && rm -rf /tmp/demo && chmod -R a+rX /var/cache/pcwlad-geo
+# a library of the system that is missing shows while the image is built
+RUN pcwlad-geo demo /tmp/demo --progress none && rm -rf /tmp/demo
 WORKDIR /data
 ENTRYPOINT ["entrypoint"]
 CMD ["--help"]

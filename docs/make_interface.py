@@ -2,8 +2,8 @@
 
     python docs/make_interface.py
 
-A test compares `docs/interface.md` with what the code has: whoever takes a name, an option, a file or a
-status away sees it there first.
+A test compares `docs/development/interface.md` with the code. Whoever removes a name, an option, a file or
+a status sees it there first.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from make_man import STATUSES, commands
 
 import pcwlad_geo
-from pcwlad_geo.outputs.write import OUTPUTS
+from pcwlad_geo.outputs.write import outputs
 from pcwlad_geo.tiepoints.table import COLUMNS as TIE_POINT_COLUMNS
 
 DOCS: Final = Path(__file__).resolve().parent
-PAGE: Final = DOCS / "interface.md"
+PAGE: Final = DOCS / "development" / "interface.md"
 TEXT: Final = """# The public interface
 
-What [versions](contributing.md#versions) are about: a major version may break what stands here, a minor
-version adds to it, a patch changes neither. The page is made from the code (`python docs/make_interface.py`),
-and a test compares both. Everything else may change at any time.
+[Versions](../contributing.md#versions) are about the names on this page. A major version may break them. A
+minor version adds to them. A patch changes none. Everything else may change at any time. A script makes this
+page from the code (`python docs/make_interface.py`), and a test compares the two.
 
 ## Python
 
-The names of `pcwlad_geo.__all__`, with the parameters of functions; [API](api.md) describes them.
+These are the names of `pcwlad_geo.__all__`, with the parameters of functions.
+[API](../api.md) describes them.
 
 {names}
 
@@ -41,8 +42,9 @@ The names of `pcwlad_geo.__all__`, with the parameters of functions; [API](api.m
 
 {commands}
 
-`--progress json` writes an object a line, with `event` one of `progress`, `warning`, `result`, `error` and
-`cancelled`. [The plugin of QGIS](qgis.md) reads it, by the protocol number that `pcwlad-geo --version` tells.
+`--progress json` writes one object a line. Its `event` is `progress`, `warning`, `result`, `error` or
+`cancelled`. [The QGIS plugin](../qgis.md) reads these lines. `pcwlad-geo --version` prints the number of this
+protocol.
 
 ## Exit statuses
 
@@ -50,7 +52,7 @@ The names of `pcwlad_geo.__all__`, with the parameters of functions; [API](api.m
 
 ## Files of a pair
 
-When each is written, and what is in it: [what a job writes](outputs.md).
+[What a job writes](../outputs.md) explains each file.
 
 {files}
 
@@ -101,7 +103,7 @@ def schemas() -> Iterator[tuple[str, str]]:
     """Yield each schema, with the entries that are always there."""
     for path in sorted(DOCS.glob("*.schema.json")):
         yield (
-            f"[`{path.name}`]({path.name})",
+            f"[`{path.name}`](../{path.name})",
             code(json.loads(path.read_text(encoding="utf-8")).get("required", ())),
         )
 
@@ -112,7 +114,7 @@ def page() -> str:
         names=table("name, parameters", names()),
         commands=table("command, options", options()),
         statuses=table("status, meaning", STATUSES.items()),
-        files=table("file, when", ((f"`{file_name(each.name)}`", each.when.words) for each in OUTPUTS)),
+        files=table("file, when", ((f"`{file_name(each.name)}`", each.when.words) for each in outputs())),
         columns=table("file, columns", [("`tiepoints.csv`", code(TIE_POINT_COLUMNS))]),
         schemas=table("schema, entries that are always there", schemas()),
     )
