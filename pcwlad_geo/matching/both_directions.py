@@ -12,7 +12,7 @@ from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.mutual_structure import passes_paper, shared_structure
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined, refine
-from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.matching.types import TRAITS, MatchSettings
 from pcwlad_geo.types import Bool, Float64, Index
 
 Back = Literal["forward only", "sample", "as needed", "always"]
@@ -53,7 +53,7 @@ def refine_both(
     """
     forward = _refine_one_way(pair, corners, start, settings, step_px)
     forward_backward = np.full(len(corners), np.nan)
-    if not settings.traits.backward:
+    if not TRAITS[settings.method].backward:
         ok = np.ones(len(corners), bool)
         if settings.method == "pcwlad":
             ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
@@ -109,7 +109,7 @@ def _refine_back(
 def _refine_one_way(
     pair: ChannelPair, corners: Index, start: InitialEstimate, settings: MatchSettings, step_px: int
 ) -> Refined:
-    traits = settings.traits
+    traits = TRAITS[settings.method]
     if traits.structure == "filter":
         start = replace(start, structure=shared_structure(pair, corners, start, settings.window))
     refined = partial(
@@ -138,7 +138,8 @@ def forward_is_enough(forward_backward_px: Float64, settings: MatchSettings) -> 
     The (n,) `forward_backward_px` are NaN for points that were not matched backward. The method of the
     settings sets the limit.
     """
-    error_px, limit_px = forward_backward_px[~np.isnan(forward_backward_px)], settings.traits.one_way_px
+    error_px = forward_backward_px[~np.isnan(forward_backward_px)]
+    limit_px = TRAITS[settings.method].one_way_px
     if len(error_px) == 0 or (error_px > DIRECTIONS.outlying * limit_px).mean() > DIRECTIONS.most_outlying:
         return False
     return bool(np.sqrt(np.mean(error_px**2)) <= limit_px)

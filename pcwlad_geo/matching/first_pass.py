@@ -19,7 +19,7 @@ from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined
 from pcwlad_geo.matching.rounds import suffice
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
 
 COARSE_SIGMA_PX: Final = 0.35
@@ -69,7 +69,7 @@ def match_candidates(
 def _match_corners(
     pair: PreparedPair, core: Core, settings: MatchSettings, also: Index | None
 ) -> tuple[TiePoints, Candidates]:
-    traits = settings.traits
+    traits = TRAITS[settings.method]
     corners = np.concatenate([*([] if also is None else [also]), _corners(pair, core, settings)])
     reaches = settings.template, settings.search_radius
     channels = pair.channels

@@ -16,7 +16,7 @@ from pcwlad_geo.matching.outliers import OUTLIERS
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import InitialEstimate
 from pcwlad_geo.matching.second_pass import rematch_with, step_of
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.matching.windows import WINDOWS, Scales
 from pcwlad_geo.types import Float64, Index
 
@@ -77,7 +77,7 @@ def try_again(
 
 def can_try_again(settings: MatchSettings) -> bool:
     """Return whether candidates without a match are tried once more."""
-    traits = settings.traits
+    traits = TRAITS[settings.method]
     return traits.refined and traits.structure == "local" and settings.consensus != "off"
 
 

@@ -18,7 +18,7 @@ from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import Image, prepare
 from pcwlad_geo.matching.rounds import in_rounds
 from pcwlad_geo.matching.second_pass import second_pass
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.types import Index
 
 
@@ -68,7 +68,7 @@ def match_arrays(
         )
     margin = margin_px(settings)
     images = (_on_canvas(image, rows, cols, margin) for image in (ref, tgt))
-    pair = prepare(*images, channels=settings.traits.channels)
+    pair = prepare(*images, channels=TRAITS[settings.method].channels)
     settings = in_rounds(settings, float(common.prod()))
     core = Core(margin, margin, margin + rows, margin + cols, (-margin, -margin))
     places = None if also is None else _places(also, ref.values.shape) + margin

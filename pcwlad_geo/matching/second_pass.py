@@ -14,7 +14,7 @@ from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import STEP_PX, InitialEstimate
-from pcwlad_geo.matching.types import MatchSettings, TiePoints, to_index
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints, to_index
 from pcwlad_geo.matching.windows import WINDOWS, Scales, choose_scales, window_sample
 from pcwlad_geo.types import Bool, Float64
 
@@ -118,7 +118,7 @@ def _unmoved(matched: TiePoints, points: TiePoints) -> Bool:
 
 def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
     """Return the (n,) mask of the points of `guide` that the second pass with `settings` matches again."""
-    traits = settings.traits
+    traits = TRAITS[settings.method]
     if not (traits.refined and traits.structure == "local"):
         return np.zeros_like(guide.leads)
     something_new = guide.deforms or (settings.backward == "sample" and not guide.one_way)

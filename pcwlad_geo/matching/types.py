@@ -119,11 +119,6 @@ class MatchSettings:
             raise SettingsError(f"ssim_min = {self.ssim_min!r}: give a number from -1 to 1")
 
     @property
-    def traits(self) -> MethodTraits:
-        """What distinguishes the method."""
-        return TRAITS[self.method]
-
-    @property
     def candidates(self) -> int:
         """Number of candidates where all are matched."""
         return AUTO_FEATURES if self.features is None else self.features
