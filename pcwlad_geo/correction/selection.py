@@ -326,12 +326,13 @@ def _least_gain(simple: Fit, other: Fit, points: _Points) -> float:
     """Return the least gain of a model on few windows, in squared errors that it leaves.
 
     The F test counts each window without common pixels once: errors of points that share pixels, or that were
-    matched as their neighbours expect, are no independent evidence.
+    matched as their neighbours expect, are no independent evidence. Where points are dense, a spline may have
+    more effective parameters than that: a quarter of the observations stay free at least.
     """
-    windows = _separate_windows(points.predicted_px, points.footprint_px)
+    observations = 2 * _separate_windows(points.predicted_px, points.footprint_px)
     added = other.freedom - simple.freedom
-    spare = max(2 * windows - other.freedom, 1.0)
-    by_chance = float(fdtri(added, spare, 1 - CHANCE)) * added / (2 * windows)
+    spare = max(observations - other.freedom, observations / 4)
+    by_chance = float(fdtri(added, spare, 1 - CHANCE)) * added / observations
     return max(by_chance, 1.0)
 
 
