@@ -25,8 +25,12 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
     "pcwlad_geo/registration/judge.py": (
         "tests/registration/test_judge_figures.py",
         "tests/registration/test_judge.py",
-        "tests/registration/test_advice.py",
     ),
+    "pcwlad_geo/registration/motions.py": (
+        "tests/registration/test_judge_figures.py",
+        "tests/registration/test_motions.py",
+    ),
+    "pcwlad_geo/registration/advice.py": ("tests/registration/test_advice.py",),
     "pcwlad_geo/matching/outliers.py": (
         "tests/matching/test_outlier_limits.py",
         "tests/matching/test_outliers.py",

@@ -34,7 +34,7 @@ from pcwlad_geo.registration.fitting import (
 )
 from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
 from pcwlad_geo.registration.inputs import estimate_tile_count
-from pcwlad_geo.registration.judge import GEOREFERENCED_PX, Motion, describe_motions
+from pcwlad_geo.registration.motions import Motion, MotionParameters, describe_motions
 from pcwlad_geo.registration.positions import position_conflict
 from pcwlad_geo.report.finished import NUMBERS, read_report, report_of_same_job
 from pcwlad_geo.text import joined
@@ -191,7 +191,7 @@ def graded(
     agreeing = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
     reasons: list[tuple[Grade, str]] = [*doubts]
     if pair.motions:
-        reasons.append(("fair", describe_motions(pair.motions, taken=True)))
+        reasons.append(("fair", describe_motions(pair.motions, accepted=True)))
     if off_px > GOOD_PX:
         text = f"a tenth of its points lie more than {off_px:.2f} px off a smooth displacement"
         reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
@@ -326,7 +326,8 @@ def edge_of(frame: StackFrame, one: int, other: int, place: Path) -> Edge | None
         return None
     first, second = first[finite], second[finite]
     places = len(np.unique(np.floor(first / PLACE_PX), axis=0))
-    offset = float(np.hypot(*np.median(second - first, axis=0))) / GEOREFERENCED_PX if frame.placed else 0.0
+    offset_px = float(np.hypot(*np.median(second - first, axis=0)))
+    offset = offset_px / MotionParameters().georeferenced_px if frame.placed else 0.0
     return Edge(one, other, first, second, covariance[finite], evidence=places / (1 + offset**2))
 
 

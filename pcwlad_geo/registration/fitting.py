@@ -21,7 +21,8 @@ from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import file_px_per_px
-from pcwlad_geo.registration.judge import Motion, Verdict, describe_motions
+from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.registration.motions import Motion, describe_motions
 from pcwlad_geo.text import read_json
 from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable, joined
@@ -158,7 +159,7 @@ def _earlier(path: Path | str, pair: ViewPair) -> _Earlier | None:
                 continue
             window_px, counts = report["window_px"], dict(report["tie_points"])
             motions = tuple(Motion(**each) for each in report["motions"])
-            describe_motions(motions, taken=True)  # fails where a value is of a wrong type
+            describe_motions(motions, accepted=True)  # fails where a value is of a wrong type
             table = _table_of(folder, counts, pair)
             window_px = None if window_px is None else int(window_px)
             jitter_px = float(report["jitter_px"])

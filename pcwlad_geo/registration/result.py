@@ -33,7 +33,8 @@ from pcwlad_geo.raster.rpc.ortho import RpcPlacement
 from pcwlad_geo.raster.source import RasterInfo, bands_of, has_quick_overview
 from pcwlad_geo.registration.fitting import Doubt, Origin, Quality
 from pcwlad_geo.registration.inputs import InputFile
-from pcwlad_geo.registration.judge import Motion, Verdict
+from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.registration.motions import Motion
 from pcwlad_geo.registration.planning import MIN_TEXTURE, texture_of
 from pcwlad_geo.registration.prealign import Overviews, Prealignment, direct_start, searches_first
 from pcwlad_geo.registration.rpc import RpcRegistration

@@ -58,7 +58,7 @@ from pcwlad_geo.registration.fitting import (
 )
 from pcwlad_geo.registration.frame_evidence import frame_evidence
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
-from pcwlad_geo.registration.judge import PRODUCT_M, describe_motions
+from pcwlad_geo.registration.motions import MotionParameters, describe_motions
 from pcwlad_geo.registration.positions import PositionConflict, position_conflict
 from pcwlad_geo.registration.prealign import RADIUS_PX, Prealignment, StartingAlignment, read_overviews
 from pcwlad_geo.registration.result import (
@@ -392,7 +392,7 @@ def fit(
         )
         quality = _with_seam(quality, fitted, places, footprint)
         if matches.motions:
-            quality = quality.at_most("fair", describe_motions(matches.motions, taken=True))
+            quality = quality.at_most("fair", describe_motions(matches.motions, accepted=True))
         for text in _doubts_of_frames(matches):
             quality = quality.at_most("poor", text)
         for doubt in matches.doubts:
@@ -431,7 +431,7 @@ def _with_prior(quality: Quality, points: TiePointTable, size_m: float) -> Quali
     It is poor where anything else speaks against them, and fair otherwise: a band may have been moved.
     """
     off_px = float(np.percentile(np.hypot(*points.displacement_px.T), 90))
-    if off_px <= max(GOOD_PX, PRODUCT_M / size_m):
+    if off_px <= max(GOOD_PX, MotionParameters().product_m / size_m):
         return quality
     return quality.at_most(
         "fair" if off_px <= FAIR_PX or quality.grade == "good" else "poor",
@@ -625,7 +625,7 @@ def _by_matching(
     several = len(matched.motions) > 1
     motions = tuple(motion for motion, _ in matched.motions) if several else tuple(matched.patches)
     if motions and matched.verdict.accepted:
-        log.warn(describe_motions(motions, taken=True))
+        log.warn(describe_motions(motions, accepted=True))
     for doubt in matched.doubts:
         log.warn(doubt.text)
     if matched.verdict.accepted and geometry.name == "planar":

@@ -42,22 +42,16 @@ from pcwlad_geo.raster.grid import jacobian, middle_pixel_size_m
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.fitting import Doubt
-from pcwlad_geo.registration.judge import (
-    DISPLACED_SHARE,
-    GEOREFERENCED_PX,
-    MIN_SIGNIFICANCE,
-    PRODUCT_M,
+from pcwlad_geo.registration.judge import JudgeParameters, Verdict, agree_closely, is_doubtful, judge
+from pcwlad_geo.registration.motions import (
     Motion,
-    Verdict,
-    agree_closely,
-    is_doubtful,
-    judge,
+    MotionParameters,
     motion_of_the_ground,
     motions_of,
     other_displacement,
     patches,
-    refusal,
     share_displaced,
 )
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
@@ -322,14 +316,18 @@ def _by_geometry(
     frames = pair.reference.info.grid.crs is None and not (pair.georeferenced and prealignment.pose is None)
     by_lines = settings.geometry == "epipolar"
     if settings.geometry == "auto" and frames and verdict.accepted:
-        by_lines = parallax_evidence(matches, kept, window_px) >= MIN_SIGNIFICANCE
+        by_lines = parallax_evidence(matches, kept, window_px) >= JudgeParameters().least_significance
     if not by_lines:
         return kept, verdict, False
     found = on_their_lines(matches)
     significance = (
         epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.net_evidence
     )
-    if not verdict.accepted and found.sum() >= EPIPOLAR.least_matches and significance >= MIN_SIGNIFICANCE:
+    if (
+        not verdict.accepted
+        and found.sum() >= EPIPOLAR.least_matches
+        and significance >= JudgeParameters().least_significance
+    ):
         verdict = replace(
             verdict, accepted=True, reason=None, significance=significance, past_search_border=None
         )
@@ -475,7 +473,7 @@ def _second_pass(
         scales=scales,
         window_variance_px2=None if errors is None else errors.variance_px2(scales),
         jitter_px=jitter,
-        other_motion=other_motion if displaced >= DISPLACED_SHARE else None,
+        other_motion=other_motion if displaced >= MotionParameters().displaced_share else None,
     )
     return joined.part(~np.concatenate([unread, np.zeros(len(recovered), bool)]))
 
@@ -814,12 +812,14 @@ def _select_ground_motion(
 ) -> Matched:
     """Return the matches of the motion that the ground has, refused where nothing tells which that is."""
     pair, before = start.pair, start.prealignment
-    one_product = of_one_product(pair.reference.info.uri, pair.target.info.uri)
+    one_product, typical = of_one_product(pair.reference.info.uri, pair.target.info.uri), MotionParameters()
     if not can_be_posed(pair):  # by an RPC, which errs by more, and relief moves parts of the scene
         return replace(matched, motions=(), patches=())
     trusted = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
     sizes_m = middle_pixel_size_m(pair.reference.grid) if one_product else None
-    error_px = None if not trusted else PRODUCT_M / max(sizes_m) if sizes_m else GEOREFERENCED_PX
+    error_px = (
+        (typical.product_m / max(sizes_m) if sizes_m else typical.georeferenced_px) if trusted else None
+    )
     motions, usual, reason = motion_of_the_ground(matched.motions, matched.kept, error_px, one_product)
     matched = replace(matched, motions=motions)
     if reason is not None:

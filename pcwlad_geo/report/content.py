@@ -38,7 +38,7 @@ from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.registration.fitting import Grade, Origin
 from pcwlad_geo.registration.inputs import INLINE, InputFile
-from pcwlad_geo.registration.judge import Motion
+from pcwlad_geo.registration.motions import Motion
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.result import PairGeometry, Registration, RegistrationStatus
 from pcwlad_geo.registration.rpc import RpcRegistration

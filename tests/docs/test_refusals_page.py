@@ -29,12 +29,15 @@ def test_each_reason_of_the_page_is_one_that_the_code_gives() -> None:
 
 
 def test_each_reason_of_the_verdict_is_on_the_page() -> None:
-    """Of every function of the judge that returns a reason, some words of each text stand on the page."""
-    tree = ast.parse((REPOSITORY / "pcwlad_geo/registration/judge.py").read_text(encoding="utf-8"))
-    wanted = {"_nothing_to_match", "_too_few", "_advice", "describe_motions", "motion_of_the_ground"}
-    functions = {node.name: node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    """Of every function that returns a reason of the verdict, some words of each text stand on the page."""
+    folder = REPOSITORY / "pcwlad_geo/registration"
+    trees = [
+        ast.parse((folder / name).read_text("utf-8")) for name in ("judge.py", "motions.py", "advice.py")
+    ]
+    nodes = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    functions = {node.name: node for node in nodes}
     quoted = QUOTED.findall(PAGE.read_text(encoding="utf-8"))
-    for name in wanted & set(functions):
+    for name in ("_nothing_to_match", "_too_few", "_advice", "describe_motions", "motion_of_the_ground"):
         texts = [
             node.value
             for node in ast.walk(functions[name])

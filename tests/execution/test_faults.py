@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import OnExecutor, _inspection, connected
 from pcwlad_geo.options import Settings
+from pcwlad_geo.registration.judge import JudgeParameters, judge
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from tests.cli.process import command, environment
@@ -160,7 +162,8 @@ def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
 
 @pytest.mark.slow
 def test_what_remains_must_suffice(copy: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.registration.judge.MIN_POINTS", 40)
+    demanding = partial(judge, parameters=JudgeParameters(least_points=40))
+    monkeypatch.setattr("pcwlad_geo.registration.scene.judge", demanding)
     everything_but_a_corner = [(x, y) for x in range(LAST + 1) for y in range(LAST + 1) if max(x, y) > 18]
     on_event = stop_reading(copy[1], *everything_but_a_corner)
     with ThreadPoolExecutor(1) as executor:

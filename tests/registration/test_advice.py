@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.raster.view import Patch
-from pcwlad_geo.registration.judge import Verdict, refusal
+from pcwlad_geo.registration.advice import refusal
+from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.prealign import Pose, Prealignment, has_few_values
 
 FACTS = "only 7 of 900 candidates agree"

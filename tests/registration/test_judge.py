@@ -8,7 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.registration.judge import MIN_POINTS, Verdict, judge
+from pcwlad_geo.registration.judge import JudgeParameters, Verdict, judge
+
+LEAST_POINTS = JudgeParameters().least_points
 
 WINDOW_PX, RADIUS_PX = 41, 12
 COUNTS = {"candidates": 200}
@@ -98,11 +100,11 @@ def test_windows_that_overlap_have_found_a_pose_together(
 
 
 def test_too_few_points_are_refused_however_well_they_agree() -> None:
-    assert verdict(matches(MIN_POINTS, 300, right=1.0)).accepted
-    assert not verdict(matches(MIN_POINTS - 1, 300, right=1.0)).accepted
+    assert verdict(matches(LEAST_POINTS, 300, right=1.0)).accepted
+    assert not verdict(matches(LEAST_POINTS - 1, 300, right=1.0)).accepted
 
 
-@pytest.mark.parametrize(("n", "side_px"), [(MIN_POINTS - 1, 300), (200, 40)])
+@pytest.mark.parametrize(("n", "side_px"), [(LEAST_POINTS - 1, 300), (200, 40)])
 def test_points_that_agree_and_are_too_few_are_not_called_chance(n: int, side_px: float) -> None:
     """A radius raised would not help them: there is no more ground."""
     found = verdict(matches(n, side_px, right=1.0))

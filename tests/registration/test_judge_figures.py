@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.registration import judge as judging
-from pcwlad_geo.registration.judge import Verdict, judge
+from pcwlad_geo.registration.judge import JudgeParameters, Verdict, judge
 
 WINDOW_PX, CELL_PX = 40, 30.0
 """Places lie more than half a window apart."""
@@ -19,7 +18,14 @@ RIGHT, WRONG = (3.0, -2.0), (-9.0, 9.0)
 Moves = Iterable[tuple[float, float]]
 
 
-def verdict(cells: Iterable[Moves], *, radius_px: int = 12, kept: Moves = (RIGHT,), **counts: int) -> Verdict:
+def verdict(
+    cells: Iterable[Moves],
+    *,
+    radius_px: int = 12,
+    kept: Moves = (RIGHT,),
+    parameters: JudgeParameters = JudgeParameters(),
+    **counts: int,
+) -> Verdict:
     """Judge matches of these displacements, cell by cell; those listed as kept are the consistent ones."""
     placed = [
         ((CELL_PX * number + 0.1 * i, 0.0), move)
@@ -31,7 +37,8 @@ def verdict(cells: Iterable[Moves], *, radius_px: int = 12, kept: Moves = (RIGHT
     n = len(xy)
     points = TiePoints(xy, xy + moved, np.tile(0.01 * np.eye(2), (n, 1, 1)), np.full(n, 0.5), np.zeros(n))
     consistent = np.array([tuple(move) in list(kept) for move in moved.tolist()], bool)
-    return judge(points, consistent, counts or {"candidates": 200}, WINDOW_PX, radius_px)
+    counts = counts or {"candidates": 200}
+    return judge(points, consistent, counts, WINDOW_PX, radius_px, parameters=parameters)
 
 
 def by_hand(agreeing: int, cells: int, radius_px: int) -> float:
@@ -56,7 +63,7 @@ def test_four_separate_places_must_agree() -> None:
     """However significant three would be: the search is so wide that two would do."""
     for cells, accepted in ((3, False), (4, True), (5, True)):
         found = verdict([[RIGHT] * 8] * cells, radius_px=500)
-        assert found.significance > judging.MIN_SIGNIFICANCE
+        assert found.significance > JudgeParameters().least_significance
         assert found.accepted is accepted
         assert found.agreeing_cells == cells
 
@@ -68,10 +75,10 @@ def test_the_significance_decides_where_places_are_enough() -> None:
         assert found.accepted is accepted
 
 
-def test_a_significance_at_the_limit_suffices(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_significance_at_the_limit_suffices() -> None:
     cells = [[RIGHT] * 4] * 6
-    monkeypatch.setattr(judging, "MIN_SIGNIFICANCE", verdict(cells).significance)
-    assert verdict(cells).accepted
+    limit = JudgeParameters(least_significance=verdict(cells).significance)
+    assert verdict(cells, parameters=limit).accepted
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ from scipy import ndimage
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import of_one_product
-from pcwlad_geo.registration.judge import (
-    MIN_REJECTED,
+from pcwlad_geo.registration.motions import (
+    MotionParameters,
     motions_of,
     other_displacement,
     patches,
@@ -135,7 +135,7 @@ def test_patches_smaller_than_a_window_are_told_from_what_fits_around_the_points
     ground, other = found.motions
     assert np.hypot(*np.subtract(ground.displacement_px, GROUND_PX)) < 0.1
     assert np.hypot(*np.subtract(other.displacement_px, (4.3, -0.2))) < 0.5
-    assert ground.points > other.points >= MIN_REJECTED
+    assert ground.points > other.points >= MotionParameters().least_rejected
 
 
 def test_rejected_matches_that_agree_propose_where_else_the_ground_may_lie() -> None:
