@@ -31,9 +31,9 @@ from .raster.arrays import DataArrayLike, Raster, RasterLike
 from .raster.grid import Grid
 from .raster.source import RasterInfo
 from .raster.trust.permissions import Trust
-from .registration.fitting import Quality
 from .registration.judge import Verdict
 from .registration.prealign import Pose, Prealignment
+from .registration.quality import Quality
 from .registration.result import Matches, Pair, Registration
 from .requirements import RequirementResult
 from .rigs.applying import CaptureOutcome

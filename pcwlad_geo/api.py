@@ -40,7 +40,7 @@ from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.registration import run
-from pcwlad_geo.registration.fitting import Quality
+from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.registration.result import Matches, Pair, Registration
 from pcwlad_geo.registration.rpc import check_model
 from pcwlad_geo.report.finished import finished

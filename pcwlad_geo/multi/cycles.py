@@ -15,12 +15,11 @@ from pcwlad_geo.correction.error_statistics import SIGMA_90, Residuals, left_by_
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.multi.adjustment import MIN_REDUNDANCY
 from pcwlad_geo.multi.stack_pairs import StackPair
-from pcwlad_geo.registration.fitting import (
+from pcwlad_geo.registration.quality import (
     FAIR_PX,
-    GOOD_EXTRAPOLATED_SHARE,
     GOOD_PX,
     GRADES,
-    MANY_SIGMAS,
+    QualityParameters,
     Reason,
 )
 from pcwlad_geo.types import Float64
@@ -210,7 +209,7 @@ def image_qualities(
         for pair in measured
         if pair.status == "used" and pair.redundancy is not None and pair.redundancy >= MIN_REDUNDANCY
     ]
-    noise_px = MANY_SIGMAS * median(own or [0.0])
+    noise_px = QualityParameters().many_sigmas * median(own or [0.0])
 
     def off(name: str, among: Iterable[StackPair], limit_px: float) -> float:
         """Return the share of the pairs of an image that lie off its place by more than a limit, its px."""
@@ -331,6 +330,6 @@ def _judged(
 def _own_grade(pair: StackPair) -> Reason:
     """Return the grade of a pair by itself, and why it is not better."""
     empty = pair.empty_share or 0.0
-    if empty > GOOD_EXTRAPOLATED_SHARE and pair.quality != "poor":
+    if empty > QualityParameters().good_extrapolated_share and pair.quality != "poor":
         return Reason("fair", f"{100 * empty:.0f} % of the common ground has no tie point")
     return Reason(pair.quality or "good", "; ".join(pair.quality_reasons[:1]))

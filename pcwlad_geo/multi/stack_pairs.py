@@ -24,18 +24,18 @@ from pcwlad_geo.multi.stack_frame import StackFrame
 from pcwlad_geo.options import SETTINGS, Settings
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.raster.grid import middle_pixel_size_m
-from pcwlad_geo.registration.fitting import (
-    FAIR_PX,
-    GOOD_PX,
-    GRADES,
-    POOR_KEPT_SHARE,
-    Grade,
-    displaced_otherwise,
-)
 from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
 from pcwlad_geo.registration.inputs import estimate_tile_count
 from pcwlad_geo.registration.motions import Motion, MotionParameters, describe_motions
 from pcwlad_geo.registration.positions import position_conflict
+from pcwlad_geo.registration.quality import (
+    FAIR_PX,
+    GOOD_PX,
+    GRADES,
+    Grade,
+    QualityParameters,
+    displaced_otherwise,
+)
 from pcwlad_geo.report.finished import NUMBERS, read_report, report_of_same_job
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -195,7 +195,7 @@ def graded(
     if off_px > GOOD_PX:
         text = f"a tenth of its points lie more than {off_px:.2f} px off a smooth displacement"
         reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
-    if agreeing < POOR_KEPT_SHARE:
+    if agreeing < QualityParameters().poor_kept_share:
         reasons.append(("poor", f"only {100 * agreeing:.0f} % of the matches agree with their neighbours"))
     points = read_point_file(pair.folder / "tiepoints.csv")
     rejected_px = _smooth_residuals(points.reference, points.target, points.enabled)[~points.enabled]

@@ -18,7 +18,8 @@ from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.raster.view import file_px_per_px
-from pcwlad_geo.registration.fitting import footprint_px, user_points
+from pcwlad_geo.registration.fitting import footprint_px
+from pcwlad_geo.registration.point_file import user_points
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.qgis_points import write_points

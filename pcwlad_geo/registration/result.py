@@ -31,12 +31,13 @@ from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.ortho import RpcPlacement
 from pcwlad_geo.raster.source import RasterInfo, bands_of, has_quick_overview
-from pcwlad_geo.registration.fitting import Doubt, Origin, Quality
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.motions import Motion
 from pcwlad_geo.registration.planning import MIN_TEXTURE, texture_of
+from pcwlad_geo.registration.point_file import Origin
 from pcwlad_geo.registration.prealign import Overviews, Prealignment, direct_start, searches_first
+from pcwlad_geo.registration.quality import Doubt, Quality
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.requirements import RequirementResult

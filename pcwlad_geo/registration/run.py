@@ -43,24 +43,14 @@ from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.raster.view import file_px_per_px, with_bands
 from pcwlad_geo.registration.edge_sides import error_of_sides_px
-from pcwlad_geo.registration.fitting import (
-    FAIR_PX,
-    GOOD_PX,
-    UNKNOWN_ORIGIN,
-    AssessedFit,
-    Fitted,
-    Quality,
-    Reason,
-    assess,
-    fit_correction,
-    footprint_px,
-    user_points,
-)
+from pcwlad_geo.registration.fitting import AssessedFit, Fitted, fit_correction, footprint_px
 from pcwlad_geo.registration.frame_evidence import frame_evidence
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
 from pcwlad_geo.registration.motions import MotionParameters, describe_motions
+from pcwlad_geo.registration.point_file import UNKNOWN_ORIGIN, user_points
 from pcwlad_geo.registration.positions import PositionConflict, position_conflict
 from pcwlad_geo.registration.prealign import RADIUS_PX, Prealignment, StartingAlignment, read_overviews
+from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Quality, Reason, assess
 from pcwlad_geo.registration.result import (
     Matches,
     MatchRecord,
@@ -407,7 +397,7 @@ def fit(
         if heights and quality.grade != "good":
             quality = replace(quality, reasons=(Reason(quality.grade, heights), *quality.reasons))
         log.on_event(Progress("fitting", 1, 1))
-    refusal = None if settings.tie_points else quality.refusal
+    refusal = None if settings.tie_points else quality.refusal()
     for reason in () if refusal else quality.reasons:
         if reason.text not in log.warnings:
             log.warn(reason.text)

@@ -43,7 +43,6 @@ from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.advice import refusal
-from pcwlad_geo.registration.fitting import Doubt
 from pcwlad_geo.registration.judge import JudgeParameters, Verdict, agree_closely, is_doubtful, judge
 from pcwlad_geo.registration.motions import (
     Motion,
@@ -73,6 +72,7 @@ from pcwlad_geo.registration.prealign import (
     searches_first,
     target_offset_px,
 )
+from pcwlad_geo.registration.quality import Doubt
 from pcwlad_geo.registration.result import MatchRecord, record_matching
 from pcwlad_geo.registration.rivals import (
     doubt_of_rivals,

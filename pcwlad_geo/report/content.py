@@ -36,10 +36,11 @@ from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import RasterInfo, bands_of
-from pcwlad_geo.registration.fitting import Grade, Origin
 from pcwlad_geo.registration.inputs import INLINE, InputFile
 from pcwlad_geo.registration.motions import Motion
+from pcwlad_geo.registration.point_file import Origin
 from pcwlad_geo.registration.prealign import Prealignment
+from pcwlad_geo.registration.quality import Grade
 from pcwlad_geo.registration.result import PairGeometry, Registration, RegistrationStatus
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.report.statistics import (

@@ -29,7 +29,7 @@ from pcwlad_geo.correction.error_statistics import (
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, NOTICEABLE_PX, Grade
+from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Grade, QualityParameters
 from pcwlad_geo.registration.result import Registration, RegistrationStatus
 from pcwlad_geo.report import figures as draw
 from pcwlad_geo.report.charts import data_uri
@@ -154,7 +154,7 @@ def _reliability_answer(report: Report) -> Answer:
     doubts = []
     if check.n < ENOUGH_CHECK_POINTS:
         doubts.append(f"only {check.n} check points, {ENOUGH_CHECK_POINTS} are asked for (ASPRS 2023)")
-    if fit and check.px.net.ce90 > max(UNEVEN_RATIO * fit.px.radial.ce90, NOTICEABLE_PX):
+    if fit and check.px.net.ce90 > max(UNEVEN_RATIO * fit.px.radial.ce90, QualityParameters().noticeable_px):
         doubts.append(
             "check points are much worse than fit points: the model does not hold between its points"
         )

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.registration.fitting import FAIR_PX, GOOD_PX, POOR_KEPT_SHARE, Grade
+from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Grade, QualityParameters
 from pcwlad_geo.rigs.capture_raster import CaptureTask, write_capture
 from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
 from pcwlad_geo.rigs.inspection import BadCaptureError, check_sharpness, measure_sharpness, panel_shown
@@ -128,7 +128,7 @@ def with_expected_error(placement: Placement, values: Sequence[Float32]) -> Plac
     agreeing = int((every < FAIR_PX).sum())
     measured = all(map(len, errors_px))
     expected = max([np.percentile(every, 90), *map(np.median, errors_px)]) if measured else math.inf
-    if expected > FAIR_PX and agreeing <= POOR_KEPT_SHARE * count:
+    if expected > FAIR_PX and agreeing <= QualityParameters().poor_kept_share * count:
         raise BadCaptureError(
             f"only {agreeing} of {count} places lie within {FAIR_PX:g} px of one ground: it has several "
             "depths, as near scenes do, its lenses show different ground, or the rig is not of this camera "

@@ -8,7 +8,7 @@ import numpy as np
 
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.fitting import Quality
+from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.registration.run import fit, match, open_pair
 from tests.scenes import make_grid, render, write
 

@@ -24,7 +24,7 @@ from pcwlad_geo.options import Model, Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration import run as run_module
-from pcwlad_geo.registration.fitting import Quality, Reason
+from pcwlad_geo.registration.quality import Quality, Reason
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.report.content import summarise
