@@ -39,10 +39,13 @@ from pcwlad_geo.raster.arrays import (
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.trust.permissions import trusting
-from pcwlad_geo.registration import run
+from pcwlad_geo.registration.assessment import fit_pair
+from pcwlad_geo.registration.matching import match_pair
+from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.registration.result import Matches, Pair, Registration
 from pcwlad_geo.registration.rpc import check_model
+from pcwlad_geo.registration.run import conclude
 from pcwlad_geo.report.finished import finished
 from pcwlad_geo.text import Shown
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -102,7 +105,7 @@ def open_pair(
             raise SettingsError(f"{name} is about the files that register writes: give it there")
     with trusting(settings.trust):
         uris = scratch.file_of(reference, "reference"), scratch.file_of(target, "target")
-        return replace(run.open_pair(*uris, settings, on_event=on_event), scratch=scratch)
+        return replace(prepare_pair(*uris, settings, on_event=on_event), scratch=scratch)
 
 
 @checked("pair")
@@ -142,7 +145,7 @@ def match(
     # points of a file leave workers nothing to do
     chosen = InThisProcess() if settings.tie_points else executor
     with trusting(settings.trust), open_job_runner(settings, chosen, on_event) as runner:
-        matches = run.match(pair, runner, on_event=on_event)
+        matches = match_pair(pair, runner, on_event=on_event)
         check_unchanged(file.identity for file in pair.inputs)
         return matches
 
@@ -183,8 +186,8 @@ def fit(
             "model = 'rpc': the pair was opened without the target's RPC: open it with model='rpc'"
         )
     with trusting(settings.trust):
-        found = run.fit(matches, settings, on_event=on_event) if matches.accepted else None
-        registration = run.conclude(matches, found)
+        found = fit_pair(matches, settings, on_event=on_event) if matches.accepted else None
+        registration = conclude(matches, found)
     if registration.status == "rejected":
         raise RegistrationRejectedError(str(registration.reason), registration)
     return FittedCorrection(registration, pair.scratch)

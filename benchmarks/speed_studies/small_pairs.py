@@ -22,8 +22,11 @@ from benchmarks.speed_studies.processes import Measured, measure, on_cores, resi
 from benchmarks.speed_studies.scene_files import make_pair
 from benchmarks.tables import Cell, Table, at_most
 from benchmarks.timing import Cost, cheapest
+from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration import run
+from pcwlad_geo.registration.assessment import fit_pair
+from pcwlad_geo.registration.matching import match_pair
+from pcwlad_geo.registration.opening import prepare_pair
 
 SIDE_PX: Final = 512
 BATCH_SIDE_PX: Final = 256
@@ -149,8 +152,8 @@ def many_pairs(scratch: Path, count: int) -> Table:
 
 def fit_cost(scratch: Path, repeats: int) -> Cost:
     """Measure the fit of a matched pair of BATCH_SIDE_PX, in this process, warm; the least of several."""
-    pair = run.open_pair(*next(cut(scratch, 1)), Settings())
-    return cheapest([partial(run.fit, run.match(pair, run.InThisProcess()))], repeats)[0]
+    pair = prepare_pair(*next(cut(scratch, 1)), Settings())
+    return cheapest([partial(fit_pair, match_pair(pair, InThisProcess()))], repeats)[0]
 
 
 def strangers(scratch: Path) -> list[str]:

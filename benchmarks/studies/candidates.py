@@ -18,8 +18,11 @@ from benchmarks import scenes
 from benchmarks.runs import Runner
 from benchmarks.speed_studies import scene_files
 from benchmarks.tables import Cell, Table, at_most
+from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration import run
+from pcwlad_geo.registration.assessment import fit_pair
+from pcwlad_geo.registration.matching import match_pair
+from pcwlad_geo.registration.opening import prepare_pair
 
 Array = NDArray[np.float64]
 
@@ -158,11 +161,11 @@ def _registered(
     files: tuple[Path, Path], truth: Callable[[Array], Array], side: int, settings: Settings
 ) -> _Measured | None:
     begun = time.process_time()
-    matches = run.match(run.open_pair(*files, settings), run.InThisProcess())
+    matches = match_pair(prepare_pair(*files, settings), InThisProcess())
     cpu_s = time.process_time() - begun
     if not matches.accepted:
         return None
-    correction = run.fit(matches).fitted.correction
+    correction = fit_pair(matches).fitted.correction
     along = (np.arange(CHECKED_ALONG) + 0.5) / CHECKED_ALONG * side
     xy_px = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     off_px = np.linalg.norm(correction.forward(xy_px) - truth(xy_px), axis=1)

@@ -123,7 +123,7 @@ def edit(context: typer.Context, registration: Folder, progress: o.ProgressOptio
 def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
     from pcwlad_geo.raster.bands import Bands
     from pcwlad_geo.registration.editing import Editor
-    from pcwlad_geo.registration.run import open_pair
+    from pcwlad_geo.registration.opening import prepare_pair
     from pcwlad_geo.report.finished import read_report
 
     report = read_report(folder)
@@ -144,7 +144,7 @@ def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
         raise InputError(
             f"{folder} has a damaged report.json ({type(error).__name__}: {error}): register the pair again"
         ) from error
-    return Editor(open_pair(reference, target, settings), folder / "tiepoints.csv"), model
+    return Editor(prepare_pair(reference, target, settings), folder / "tiepoints.csv"), model
 
 
 def _serve(editor: Editor, tell: Tell) -> None:

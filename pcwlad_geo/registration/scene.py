@@ -44,6 +44,7 @@ from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.judge import JudgeParameters, Verdict, agree_closely, is_doubtful, judge
+from pcwlad_geo.registration.match_record import MatchRecord, record_matching
 from pcwlad_geo.registration.motions import (
     Motion,
     MotionParameters,
@@ -73,7 +74,6 @@ from pcwlad_geo.registration.prealign import (
     target_offset_px,
 )
 from pcwlad_geo.registration.quality import Doubt
-from pcwlad_geo.registration.result import MatchRecord, record_matching
 from pcwlad_geo.registration.rivals import (
     doubt_of_rivals,
     doubt_of_unreached,

@@ -8,8 +8,10 @@ import numpy as np
 
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
+from pcwlad_geo.registration.assessment import fit_pair
+from pcwlad_geo.registration.matching import match_pair
+from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.quality import Quality
-from pcwlad_geo.registration.run import fit, match, open_pair
 from tests.scenes import make_grid, render, write
 
 SIDE_PX = 320
@@ -27,9 +29,9 @@ def graded(folder: Path, *, water: bool) -> tuple[Quality, tuple[str, ...]]:
             other = np.random.default_rng(number).normal(40, 1, other.shape)
         image[:, SHORE_PX:] = other[:, SHORE_PX:]
         paths.append(write(folder / f"{number}.tif", image, GRID))
-    matches = match(open_pair(*paths, Settings(prealign="georef")), InThisProcess())
+    matches = match_pair(prepare_pair(*paths, Settings(prealign="georef")), InThisProcess())
     assert matches.accepted, matches.reason
-    assessed = fit(matches)
+    assessed = fit_pair(matches)
     return assessed.quality, assessed.warnings
 
 

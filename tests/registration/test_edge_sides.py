@@ -10,7 +10,9 @@ from scipy import ndimage
 
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import fit, match, open_pair
+from pcwlad_geo.registration.assessment import fit_pair
+from pcwlad_geo.registration.matching import match_pair
+from pcwlad_geo.registration.opening import prepare_pair
 from tests.scenes import Array, make_grid, write
 
 SIDE_PX = 200
@@ -35,8 +37,8 @@ def test_outlines_at_different_places_are_an_error_of_all_points(
         write(tmp_path / f"{name}.tif", things(wider_px=by), GRID)
         for name, by in (("image", 0.0), ("heights", wider_px))
     ]
-    matches = match(open_pair(*paths, Settings(prealign="georef")), InThisProcess())
-    quality = fit(matches).quality
+    matches = match_pair(prepare_pair(*paths, Settings(prealign="georef")), InThisProcess())
+    quality = fit_pair(matches).quality
     warned = [text for text in matches.warnings if "rising and falling edges" in text]
     if told_px == 0:
         assert not warned

@@ -18,7 +18,7 @@ from pcwlad_geo.cli.app import run
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.editing import Editor
-from pcwlad_geo.registration.run import open_pair
+from pcwlad_geo.registration.opening import prepare_pair
 from tests.registration.test_run import SHIFT_PX, SMALL, write_pair
 from tests.scenes import make_grid
 
@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def editor_of(folder: Path) -> Editor:
-    pair = open_pair(folder.parent / "ref.tif", folder.parent / "tgt.tif", Settings(**SMALL))
+    pair = prepare_pair(folder.parent / "ref.tif", folder.parent / "tgt.tif", Settings(**SMALL))
     return Editor(pair, folder / "tiepoints.csv")
 
 

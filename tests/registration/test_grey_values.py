@@ -10,9 +10,10 @@ import pytest
 from scipy import ndimage
 
 from pcwlad_geo.options import Settings
+from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.prealign import StartingAlignment, direct_start, read_overviews
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import open_pair, run
+from pcwlad_geo.registration.run import run
 from tests.scenes import Array, make_grid, write
 
 SIDE = 400
@@ -76,7 +77,7 @@ def test_the_relation_is_measured_where_both_lie_over_each_other(tmp_path: Path)
     target = write(tmp_path / "moved.tif", second[40:-40, 60:], moved)
     tones = []
     for each in (tmp_path / "tgt.tif", target):
-        described = open_pair(reference, each, Settings())
+        described = prepare_pair(reference, each, Settings())
         overviews = read_overviews(described.views)
         start = StartingAlignment(direct_start(described.views, Settings()), described.views, overviews)
         by_tones = start.by_tones(Settings())

@@ -16,7 +16,8 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import source
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.result import GROUND, Registration, record_ground
+from pcwlad_geo.registration.match_record import GROUND, record_ground
+from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
 from pcwlad_geo.report.statistics import coverage_of
 from tests.scenes import make_grid, render, write

@@ -18,8 +18,10 @@ from pcwlad_geo.errors import RequirementError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.registration.assessment import _common_px
+from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import _common_px, open_pair, run
+from pcwlad_geo.registration.run import run
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -214,7 +216,7 @@ def test_fewer_points_leave_the_check_points(folder: Path) -> None:
 
 def true_ce90_px(found: Registration, pair: tuple[Path, Path]) -> float:
     """Return the error that 90 % of the common ground of the sample stay within, by its formula."""
-    places = _common_px(found.record, open_pair(*pair, Settings()).views, found.target)
+    places = _common_px(found.record, prepare_pair(*pair, Settings()).views, found.target)
     assert found.correction is not None
     moved = found.correction.forward(places) - places
     return float(np.percentile(np.hypot(*(moved - make_sample_data.true_displacement_px(places)).T), 90))

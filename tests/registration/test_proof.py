@@ -15,6 +15,8 @@ from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.matching.noise import noise_level
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.registration.matching import match_pair
+from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.proof import (
     DIFFICULTIES,
     Resampler,
@@ -31,7 +33,7 @@ from pcwlad_geo.registration.proof import (
     sensitivity,
 )
 from pcwlad_geo.registration.result import Matches, Registration
-from pcwlad_geo.registration.run import match, open_pair, prove_pair, run
+from pcwlad_geo.registration.run import prove_pair, run
 from pcwlad_geo.tiepoints.table import TiePointTable
 from tests.scenes import make_grid, render, write
 
@@ -237,7 +239,7 @@ def test_clouds_cover_the_share_that_is_told() -> None:
 @pytest.fixture(scope="module")
 def matched(tmp_path_factory: pytest.TempPathFactory) -> Matches:
     files = pair(tmp_path_factory.mktemp("hard"), 3.0, 0)
-    return match(open_pair(*files, SETTINGS), InThisProcess())
+    return match_pair(prepare_pair(*files, SETTINGS), InThisProcess())
 
 
 def test_a_blind_spot_costs_what_the_model_misses_there(matched: Matches) -> None:

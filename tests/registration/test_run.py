@@ -23,7 +23,7 @@ from pcwlad_geo.execution.workers import LocalWorkers
 from pcwlad_geo.options import Model, Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.registration import run as run_module
+from pcwlad_geo.registration import assessment
 from pcwlad_geo.registration.quality import Quality, Reason
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
@@ -552,7 +552,7 @@ def test_a_correction_that_does_not_hold_is_refused_with_its_figures(
 ) -> None:
     reason = Reason("poor", "a tenth of the check points lies more than 13.40 px off")
     poor = Quality("poor", (reason,), 13.4, 0.96, 27 / 223)
-    monkeypatch.setattr(run_module, "assess", lambda *arguments: poor)
+    monkeypatch.setattr(assessment, "assess", lambda *arguments: poor)
     found = write_pair(tmp_path, make_grid((160, 160), offset_m=(12, -9))).run()
     assert found.status == "rejected"
     assert found.reason is not None

@@ -1,0 +1,302 @@
+"""The tie points of a pair: matched, or read from a file, and checked against what may contradict them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pcwlad_geo.correction.points import thin
+from pcwlad_geo.correction.selection import COMMON_SIGMA
+from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
+from pcwlad_geo.execution.runner import Runner, one_library_thread
+from pcwlad_geo.matching.clusters import contradicted_clusters
+from pcwlad_geo.matching.types import FIRST_WINDOW_PX, TiePoints
+from pcwlad_geo.raster.matching_grid import (
+    ViewPair,
+)
+from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.registration.edge_sides import error_of_sides_px
+from pcwlad_geo.registration.frame_evidence import frame_evidence
+from pcwlad_geo.registration.match_record import record_ground
+from pcwlad_geo.registration.motions import describe_motions
+from pcwlad_geo.registration.point_file import user_points
+from pcwlad_geo.registration.positions import PositionConflict, position_conflict
+from pcwlad_geo.registration.prealign import RADIUS_PX, Prealignment, StartingAlignment, read_overviews
+from pcwlad_geo.registration.result import Matches, Pair, PairGeometry
+from pcwlad_geo.registration.rpc import (
+    check_start,
+)
+from pcwlad_geo.registration.scene import (
+    located,
+    match_again_from_shifted_rpc,
+    match_from_best_start,
+    match_scene,
+)
+from pcwlad_geo.registration.tiles import forget_tiles
+from pcwlad_geo.tiepoints.table import TiePointTable
+
+
+@dataclass(frozen=True, slots=True)
+class PairParameters:
+    """From which sizes on what the tie points of a pair show is warned of."""
+
+    parallax_ratio: float = 2.0
+    """Least ratio of the displacement along the epipolar lines to that across them, where none can be."""
+    parallax_px: float = 0.5
+    """Least parallax, RMS, target px."""
+    jitter_px: float = 0.05
+    """Least jitter of rows and columns, RMS, target px."""
+
+
+@one_library_thread()
+def match_pair(
+    pair: Pair,
+    runner: Runner,
+    *,
+    on_event: EventCallback = ignore,
+    parameters: PairParameters = PairParameters(),
+) -> Matches:
+    """Find the tie points of a pair, or read those of the file that its settings name.
+
+    Raises `InputError` if the input cannot be read or holds nothing to match.
+
+    Parameters
+    ----------
+    runner : Runner
+        Runs the tiles.
+    on_event : callable
+        Receives progress and warnings; an exception that it raises ends the work.
+    """
+    log = JobLog(on_event, list(pair.warnings), dict(pair.seconds))
+    path = pair.settings.tie_points
+    try:
+        if path:
+            matches = _from_file(pair, path, log)
+        else:
+            matches = _without_clusters(_by_matching(pair, log, runner, parameters), log, parameters)
+        matches = _with_frame_evidence(matches, log, runner, parameters)
+    finally:
+        forget_tiles()
+    conflict = None if path else conflict_of_positions(matches)
+    if conflict is not None and conflict.no_overlap:
+        matches = replace(matches, verdict=replace(matches.verdict, accepted=False, reason=conflict.text))
+    return replace(_thinned(matches), warnings=tuple(log.warnings), seconds=log.seconds)
+
+
+def _with_frame_evidence(
+    matches: Matches, log: JobLog, runner: Runner, parameters: PairParameters
+) -> Matches:
+    """Refuse or doubt a pair that agrees in what stands still in both frames, unless its ground is found.
+
+    Points of a file are only doubted.
+    """
+    pair, points = matches.pair, matches.tie_points.select("matched")
+    evidence = None
+    if matches.accepted:
+        evidence = frame_evidence(pair.reference, pair.target, points.reference_px, points.target_px)
+    if evidence is None or evidence.doubt is None:
+        return matches
+    from_file = pair.settings.tie_points is not None
+    if evidence.rival_px is not None and not from_file and pair.reference.grid == pair.target.grid:
+        ground = _by_matching(pair, log, runner, parameters, evidence.rival_px)
+        ground = _without_clusters(ground, log, parameters)
+        if ground.accepted:
+            col, row = evidence.rival_px
+            log.warn(
+                "what stands still in both frames agrees at no displacement; the ground was found about "
+                f"({col:+.0f}, {row:+.0f}) px off, and is matched there"
+            )
+            return ground
+    if evidence.is_frame and not from_file:
+        return replace(matches, verdict=replace(matches.verdict, accepted=False, reason=evidence.doubt))
+    log.warn(evidence.doubt)
+    return replace(matches, frame_doubt=evidence.doubt)
+
+
+def conflict_of_positions(matches: Matches) -> PositionConflict | None:
+    """Return how the positions of two cameras contradict tie points that were accepted; None if not."""
+    points = matches.tie_points.select("matched")
+    pair = matches.pair
+    if not matches.accepted:
+        return None
+    return position_conflict(pair.reference, pair.target, points.reference_px, points.target_px)
+
+
+def _without_clusters(matches: Matches, log: JobLog, parameters: PairParameters) -> Matches:
+    """Reject clusters of tie points that contradict what all others predict, each with a warning.
+
+    They stay in the table as rejected, and count for the quality, as the ground may have moved there. A
+    user's own points are not asked: who knows better takes the rejected ones back in such a file. Nor are
+    those of an epipolar geometry, in which another depth is no contradiction.
+    """
+    if not matches.accepted:
+        return matches
+    if matches.geometry.name == "epipolar":
+        _warn_of_parallax(matches.geometry, log, parameters)
+        return matches
+    table = matches.tie_points
+    agreeing = np.flatnonzero(table.status == "matched")
+    unit_px = float(file_px_per_px(matches.views.target).max())
+    window_px = matches.window_px * unit_px
+    predicted_px, displacement_px = table.predicted_px[agreeing], table.displacement_px[agreeing]
+    clusters = contradicted_clusters(predicted_px, displacement_px, window_px, unit_px)
+    if not clusters:
+        return matches
+    status = table.status.copy()
+    for cluster in clusters:
+        index = agreeing[cluster.index]
+        status[index] = "rejected"
+        (col, row), (d_col, d_row) = np.median(table.target_px[index], axis=0), cluster.offset_px
+        log.warn(
+            f"{len(index)} tie points around ({col:.0f}, {row:.0f}) px (col, row) of the target agree among "
+            f"themselves and lie ({d_col:+.1f}, {d_row:+.1f}) px off what all others predict: rejected as "
+            "wrong matches; if the ground has moved there, or is at another depth, they are right, and the "
+            "correction does not hold there"
+        )
+    rejected = int((status != table.status).sum())
+    counts = dict(matches.counts)
+    counts["inconsistent"] += rejected
+    counts["tie_points"] -= rejected
+    table = replace(table, status=status)
+    return replace(matches, tie_points=table, every=table, counts=counts)
+
+
+def _warn_of_parallax(geometry: PairGeometry, log: JobLog, parameters: PairParameters) -> None:
+    across, along = geometry.across_px, geometry.along_px
+    if across is None or along is None:
+        return
+    if along < max(parameters.parallax_ratio * across, parameters.parallax_px):
+        return
+    log.warn(
+        f"the displacement holds parallax: {across:.2f} px (RMS) across the epipolar lines, {along:.2f} px "
+        "along them beside what one plane gives: the tie points are right at every depth, and one smooth "
+        "correction cannot follow them all"
+    )
+
+
+def _thinned(matches: Matches) -> Matches:
+    """Keep as many tie points as the user wants, spread evenly, the most precise of each neighbourhood.
+
+    Here and nowhere else, so that what is fitted, checked, printed and written are the same points.
+    """
+    limit, table = matches.pair.settings.points, matches.tie_points
+    if not isinstance(limit, int) or not matches.accepted:
+        return matches
+    thinned = table.status == "matched"
+    if matches.roles is not None:  # check points are not fitted, and stay
+        thinned &= matches.roles != "check"
+    agreeing = np.flatnonzero(thinned)
+    selected = thin(table.predicted_px[agreeing], np.hypot(*table.sigma_px[agreeing].T), int(limit))
+    surplus = agreeing[~selected]
+    counts = {**matches.counts, "thinned": len(surplus), "tie_points": int(selected.sum())}
+    record = matches.record
+    if record is not None:
+        record = replace(record, thinned_px=table.reference_px[surplus])
+    remaining = np.ones(len(table), dtype=bool)
+    remaining[surplus] = False
+    roles = None if matches.roles is None else matches.roles[remaining]
+    return replace(matches, tie_points=table[remaining], counts=counts, record=record, roles=roles)
+
+
+def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
+    with log.stage("reading"):
+        points = user_points(path, pair.views)
+        record = record_ground(pair.views)
+    origin = points.origin
+    if origin.left_out:
+        log.warn(
+            f"{origin.left_out} points that the matching had kept are left out of {path}: residuals of the "
+            "fit are those of chosen points; the check points are still all that were held out before"
+        )
+    return Matches(
+        pair=pair,
+        tie_points=points.table,
+        verdict=points.verdict,
+        counts=points.counts,
+        prealignment=Prealignment("tie points of a file", (0.0, 0.0), 0),
+        record=record,
+        views=pair.views,
+        every=points.every,
+        window_px=origin.window_px or pair.settings.window or FIRST_WINDOW_PX,
+        motions=points.motions,
+        jitter_px=points.jitter_px,
+        origin=origin,
+        roles=points.roles,
+    )
+
+
+def _by_matching(
+    pair: Pair,
+    log: JobLog,
+    runner: Runner,
+    parameters: PairParameters,
+    around_px: tuple[float, float] | None = None,
+) -> Matches:
+    """Match a pair from the best start, or of frames around a displacement, but for none at all."""
+    settings, views = pair.settings, pair.views
+    with log.stage("reading"):
+        log.on_event(Progress("reading", 0, 1))
+        overviews = read_overviews(views)
+        log.on_event(Progress("reading", 1, 1))
+    if around_px is None:
+        matched, views = match_from_best_start(views, overviews, settings, log, runner)
+    else:
+        radius_px = min(RADIUS_PX, max(2, round(np.abs(around_px).max()) - 3))
+        start = StartingAlignment(Prealignment("search", around_px, radius_px, True), views, overviews)
+        matched = match_scene(start, settings, log, runner)
+    if pair.rpc and matched.verdict.accepted:
+        check_start(pair.rpc, matched.prealignment, views.reference.grid, settings)
+        matched, views = match_again_from_shifted_rpc(matched, views, settings, log, runner)
+    table = located(matched, views, (pair.views.reference.info, pair.target))
+    geometry = PairGeometry.of(table, matched.epipolar and matched.verdict.accepted)
+    several = len(matched.motions) > 1
+    motions = tuple(motion for motion, _ in matched.motions) if several else tuple(matched.patches)
+    if motions and matched.verdict.accepted:
+        log.warn(describe_motions(motions, accepted=True))
+    for doubt in matched.doubts:
+        log.warn(doubt.text)
+    if matched.verdict.accepted and geometry.name == "planar":
+        table = _with_error_of_sides(table, matched.matches[matched.kept], views, log)
+    jitter_px = matched.jitter_px * float(file_px_per_px(views.target).max())
+    if jitter_px >= parameters.jitter_px:
+        log.warn(
+            f"rows or columns move against each other by {jitter_px:.2f} px (RMS) within a matching window: "
+            "tie points are means over it; resampling by nearest neighbour does that, by steps of up to half "
+            "a pixel, and a line scanner that shakes (jitter), which a smaller --window with --model jitter "
+            "may follow"
+        )
+    return Matches(
+        pair=pair,
+        tie_points=table,
+        verdict=matched.verdict,
+        counts=matched.counts,
+        prealignment=matched.prealignment,
+        record=matched.record,
+        views=views,
+        every=table,
+        window_px=matched.window_px,
+        geometry=geometry,
+        motions=motions,
+        jitter_px=jitter_px,
+        job=matched.job,
+        scales=matched.scales,
+        doubts=matched.doubts if matched.verdict.accepted else (),
+    )
+
+
+def _with_error_of_sides(
+    table: TiePointTable, points: TiePoints, views: ViewPair, log: JobLog
+) -> TiePointTable:
+    """Return tie points whose sigmas hold the error that they share where edges differ by side."""
+    error_px = error_of_sides_px(views, points) * file_px_per_px(views.target)
+    if not error_px.any():
+        return table
+    log.warn(
+        f"rising and falling edges lie ({2 * error_px[0]:.1f}, {2 * error_px[1]:.1f}) px (col, row) apart, "
+        "as where one image shows heights, or other shadows: the tie points are means of the two, and share "
+        "an error of half of that, which no residual shows and their sigmas hold"
+    )
+    shared_px2 = np.diag((error_px / COMMON_SIGMA) ** 2)
+    return replace(table, covariance_px2=table.covariance_px2 + shared_px2)

@@ -1,0 +1,153 @@
+"""Two rasters described, placed, and made ready to be matched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.events import EventCallback, JobLog, ignore
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster.band_pixels import BandPixels
+from pcwlad_geo.raster.bands import Bands
+from pcwlad_geo.raster.cameras import expected_scale
+from pcwlad_geo.raster.compression import with_compression_blocks
+from pcwlad_geo.raster.fill import without_shared_fill
+from pcwlad_geo.raster.identity import digest
+from pcwlad_geo.raster.matching_grid import (
+    ONLY_PIXELS,
+    limited,
+    limited_to_overlap,
+    plan_views,
+    share_plane,
+)
+from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
+from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_areas
+from pcwlad_geo.raster.undeclared import without_undeclared
+from pcwlad_geo.raster.view import with_bands
+from pcwlad_geo.registration.inputs import identify_inputs, resolve
+from pcwlad_geo.registration.result import Pair
+from pcwlad_geo.registration.rpc import (
+    place_reference,
+    place_target,
+)
+from pcwlad_geo.types import PathLike
+
+BY_POINTS = "only the tie points given tell how the two lie"
+"""What is said instead where tie points are given."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningParameters:
+    """Numbers of the check of two rasters."""
+
+    misfit_px: float = 0.05
+    """Largest distance of ground control points of a reference from a geotransform, px."""
+
+
+def prepare_pair(
+    reference: PathLike,
+    target: PathLike,
+    settings: Settings,
+    *,
+    on_event: EventCallback = ignore,
+    all_bands: bool = False,
+    parameters: OpeningParameters = OpeningParameters(),
+) -> Pair:
+    """Describe two rasters and decide on which pixels they are compared.
+
+    No pixel is read, but for those that tell whether a raster without nodata and mask has a constant border,
+    and whether one of 8 bits shows the blocks of lossy compression.
+    Raises `InputError` if the input cannot be used, or the two do not overlap.
+
+    Parameters
+    ----------
+    reference, target : path
+        Rasters, or products (see `inputs.resolve`).
+    on_event : callable
+        Receives warnings.
+    all_bands : bool
+        The other bands of the target's product are inputs too.
+    """
+    log = JobLog(on_event)
+    with log.stage("reading"):
+        inputs = resolve(reference, target, settings, all_bands=all_bands)
+        settings = inputs.settings
+        files = identify_inputs(inputs)  # before any of them is read
+        content = digest(file.identity for file in files)
+        ref, ref_said, ref_pixels = _described(inputs.reference, inputs.ref_bands, settings.ref_mask, content)
+        tgt, tgt_said, tgt_pixels = _described(inputs.target, inputs.tgt_bands, settings.tgt_mask, content)
+        reference_by_rpc, reference_warnings = place_reference(ref, tgt, settings)
+        ref = reference_by_rpc.info if reference_by_rpc else ref
+        placement, warnings = place_target(ref, tgt, settings)
+        if placement:
+            tgt = placement.info
+        elif not reference_by_rpc:
+            ref, tgt, assumed = share_plane(ref, tgt)
+            warnings = (*warnings, *assumed)
+        ref, tgt, shared = without_shared_fill(ref, tgt, ref_pixels, tgt_pixels)
+        ref = with_areas(ref, settings.aoi, settings.exclude)
+        notes = (
+            *inputs.notes,
+            *_camera_notes(ref, tgt),
+            *(ref_said + tgt_said + shared),
+            *_control_point_notes(ref, tgt, parameters),
+        )
+        for warning in (*notes, *reference_warnings, *warnings):
+            log.warn(warning)
+        if settings.write_displacement and settings.displacement_unit == "m" and ref.grid.crs is None:
+            raise InputError(
+                "the reference has no CRS, so that a displacement in metres is not known: leave out "
+                "--displacement-unit m, or give the reference a CRS (gdal_edit.py -a_srs)"
+            )
+        views = plan_rpc_views(ref, tgt) if placement or reference_by_rpc else plan_views(ref, tgt)
+        views = limited_to_overlap(limited(views, settings.extent) if settings.extent else views)
+        for warning in views.warnings:
+            log.warn(warning.replace(ONLY_PIXELS, BY_POINTS) if settings.tie_points else warning)
+        if same_band(ref, tgt):
+            log.warn(
+                "reference and target are the same file and band: the displacement is zero by construction"
+            )
+    return Pair(
+        reference=ref,
+        target=tgt,
+        views=views,
+        settings=settings,
+        warnings=tuple(log.warnings),
+        inputs=files,
+        seconds=log.seconds,
+        rpc=placement,
+    )
+
+
+def _described(
+    uri: str, bands: Bands, mask: PathLike | None, content: str
+) -> tuple[RasterInfo, tuple[str, ...], BandPixels]:
+    """Return a raster as the matching takes it, notes of its border and values, and the pixels looked at."""
+    pixels = BandPixels(describe(uri, band=bands.first, mask=mask, part=True))
+    info, notes = without_undeclared(pixels.info, pixels)
+    return replace(with_bands(with_compression_blocks(info), bands), content=content), notes, pixels
+
+
+def _camera_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:
+    """Tell what scale the cameras' data make expect of two frames, or why they are ignored."""
+    _, note = expected_scale(reference.camera, target.camera)
+    return [] if note is None or reference.georeferenced or target.georeferenced else [note]
+
+
+def _control_point_notes(
+    reference: RasterInfo, target: RasterInfo, parameters: OpeningParameters
+) -> list[str]:
+    """Tell how well control points are fitted by a geotransform; the reference's must be."""
+    off_px = reference.gcp_misfit_px
+    if off_px is not None and off_px > parameters.misfit_px:
+        raise InputError(
+            f"{reference.uri} is georeferenced by ground control points that no geotransform fits (off by "
+            f"up to {off_px:.2f} px): a reference must be on a map grid; warp it first (gdalwarp -tps)"
+        )
+    off_px = target.gcp_misfit_px
+    if off_px is None or off_px <= parameters.misfit_px:
+        return []
+    return [
+        f"{target.uri} is georeferenced by ground control points: displacements count from the geotransform "
+        f"that fits them best, which is off by up to {off_px:.1f} px; if that is much, raise --search-radius"
+    ]
