@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +28,13 @@ from pcwlad_geo.registration.result import Matches, Pair, PairGeometry
 from pcwlad_geo.registration.rpc import (
     check_start,
 )
-from pcwlad_geo.registration.scene import (
+from pcwlad_geo.registration.scene.best_start import (
     located,
     match_again_from_shifted_rpc,
     match_from_best_start,
-    match_scene,
 )
+from pcwlad_geo.registration.scene.matching import match_scene
+from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
 from pcwlad_geo.registration.tiles import forget_tiles
 from pcwlad_geo.tiepoints.table import TiePointTable
 
@@ -42,6 +43,8 @@ from pcwlad_geo.tiepoints.table import TiePointTable
 class PairParameters:
     """From which sizes on what the tie points of a pair show is warned of."""
 
+    scene: SceneParameters = field(default_factory=SceneParameters)
+    """Those of the matching of the scene."""
     parallax_ratio: float = 2.0
     """Least ratio of the displacement along the epipolar lines to that across them, where none can be."""
     parallax_px: float = 0.5
@@ -236,30 +239,31 @@ def _by_matching(
 ) -> Matches:
     """Match a pair from the best start, or of frames around a displacement, but for none at all."""
     settings, views = pair.settings, pair.views
+    context = SceneContext(settings, log, runner, parameters.scene)
     with log.stage("reading"):
         log.on_event(Progress("reading", 0, 1))
         overviews = read_overviews(views)
         log.on_event(Progress("reading", 1, 1))
     if around_px is None:
-        matched, views = match_from_best_start(views, overviews, settings, log, runner)
+        scene, views = match_from_best_start(views, overviews, context)
     else:
         radius_px = min(RADIUS_PX, max(2, round(np.abs(around_px).max()) - 3))
         start = StartingAlignment(Prealignment("search", around_px, radius_px, True), views, overviews)
-        matched = match_scene(start, settings, log, runner)
-    if pair.rpc and matched.verdict.accepted:
-        check_start(pair.rpc, matched.prealignment, views.reference.grid, settings)
-        matched, views = match_again_from_shifted_rpc(matched, views, settings, log, runner)
-    table = located(matched, views, (pair.views.reference.info, pair.target))
-    geometry = PairGeometry.of(table, matched.epipolar and matched.verdict.accepted)
-    several = len(matched.motions) > 1
-    motions = tuple(motion for motion, _ in matched.motions) if several else tuple(matched.patches)
-    if motions and matched.verdict.accepted:
+        scene = match_scene(start, context)
+    if pair.rpc and scene.verdict.accepted:
+        check_start(pair.rpc, scene.prealignment, views.reference.grid, settings)
+        scene, views = match_again_from_shifted_rpc(scene, views, context)
+    table = located(scene, views, (pair.views.reference.info, pair.target))
+    geometry = PairGeometry.of(table, scene.epipolar and scene.verdict.accepted)
+    several = len(scene.motions) > 1
+    motions = tuple(motion for motion, _ in scene.motions) if several else tuple(scene.patches)
+    if motions and scene.verdict.accepted:
         log.warn(describe_motions(motions, accepted=True))
-    for doubt in matched.doubts:
+    for doubt in scene.doubts:
         log.warn(doubt.text)
-    if matched.verdict.accepted and geometry.name == "planar":
-        table = _with_error_of_sides(table, matched.matches[matched.kept], views, log)
-    jitter_px = matched.jitter_px * float(file_px_per_px(views.target).max())
+    if scene.verdict.accepted and geometry.name == "planar":
+        table = _with_error_of_sides(table, scene.matches[scene.consistent], views, log)
+    jitter_px = scene.jitter_px * float(file_px_per_px(views.target).max())
     if jitter_px >= parameters.jitter_px:
         log.warn(
             f"rows or columns move against each other by {jitter_px:.2f} px (RMS) within a matching window: "
@@ -270,19 +274,19 @@ def _by_matching(
     return Matches(
         pair=pair,
         tie_points=table,
-        verdict=matched.verdict,
-        counts=matched.counts,
-        prealignment=matched.prealignment,
-        record=matched.record,
+        verdict=scene.verdict,
+        counts=scene.counts,
+        prealignment=scene.prealignment,
+        record=scene.record,
         views=views,
         every=table,
-        window_px=matched.window_px,
+        window_px=scene.window_px,
         geometry=geometry,
         motions=motions,
         jitter_px=jitter_px,
-        job=matched.job,
-        scales=matched.scales,
-        doubts=matched.doubts if matched.verdict.accepted else (),
+        job=scene.job,
+        scales=scene.scales,
+        doubts=scene.doubts if scene.verdict.accepted else (),
     )
 
 

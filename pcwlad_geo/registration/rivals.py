@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import cv2
 import numpy as np
@@ -37,10 +36,6 @@ class RivalParameters:
     """Largest search radius with which two displacements are matched together, matching-grid px."""
 
 
-PARAMETERS: Final = RivalParameters()
-"""Those in use."""
-
-
 @dataclass(frozen=True, slots=True)
 class Unreached:
     """Connected ground with structure that lies elsewhere than the tie points say."""
@@ -59,83 +54,99 @@ def may_move(settings: Settings) -> bool:
     return unbounded or settings.prealign == "search"
 
 
-def rivals_in(start: StartingAlignment, found_px: Float64) -> list[Rival]:
-    """Return the rivals, px of the views, of the (2,) displacement `found_px` (col, row) from a start."""
+def rivals_in(start: StartingAlignment, displacement_px: Float64) -> list[Rival]:
+    """Return the rivals, px of the views, of the (2,) `displacement_px` (col, row) from a start."""
     images, unit_px = start.overviews, start.overviews.factor
     reference, target = (
         (image.values.astype(np.float32), image.valid) for image in (images.reference, images.target)
     )
-    rivals = rivals_of(reference, target, found_px / unit_px)
+    rivals = rivals_of(reference, target, displacement_px / unit_px)
     return [replace(rival, shift_xy=rival.shift_xy * unit_px) for rival in rivals]
 
 
 def unreached_in(
-    start: StartingAlignment, found_px: Float64, lost_px: Float64, points_px: Float64, window_px: int
+    start: StartingAlignment,
+    displacement_px: Float64,
+    lost_px: Float64,
+    points_px: Float64,
+    window_px: int,
+    parameters: RivalParameters = RivalParameters(),
 ) -> Unreached | None:
     """Return the largest part without tie points, the search for which finds it elsewhere; None if none is.
 
-    The (2,) `found_px` (col, row) is the displacement found; the (n, 2) `lost_px` and (m, 2) `points_px` are
-    the candidates without and with a tie point, px of the reference view.
+    The (2,) `displacement_px` (col, row) is that of the tie points; the (n, 2) `lost_px` and (m, 2)
+    `points_px` are the candidates without and with a tie point, px of the reference view.
     """
     first, second, factor = start.overviews.reference, start.overviews.target, start.overviews.factor
     cell_px = max(1.0, window_px / 2 / factor)
     edges = [np.arange(math.ceil(side / cell_px) + 1) * cell_px * factor for side in first.valid.shape]
     lost, points = (np.histogramdd(at_px[:, ::-1], bins=edges)[0] for at_px in (lost_px, points_px))
-    empty = (points == 0) & (lost >= PARAMETERS.least_candidates)
+    empty = (points == 0) & (lost >= parameters.least_candidates)
     _, labels, sizes, _ = cv2.connectedComponentsWithStats(empty.astype(np.uint8), connectivity=4)
     largest = 1 + int(sizes[1:, cv2.CC_STAT_AREA].argmax()) if empty.any() else 0
     share = float(sizes[largest, cv2.CC_STAT_AREA] / max(np.count_nonzero(empty | (points > 0)), 1))
-    if largest == 0 or share < PARAMETERS.least_share:
+    if largest == 0 or share < parameters.least_share:
         return None
     row, col = (np.arange(side) / cell_px for side in first.valid.shape)
     inside = first.valid & (labels == largest)[np.ix_(row.astype(int), col.astype(int))]
-    found = search_shift(first.values, second.values, inside, second.valid)
-    shift_px = np.asarray(found.shift_xy) * factor
-    distance_px = float(np.hypot(*(shift_px - found_px)))
-    error_px = PARAMETERS.least_distance_px * factor
+    search = search_shift(first.values, second.values, inside, second.valid)
+    shift_px = np.asarray(search.shift_xy) * factor
+    distance_px = float(np.hypot(*(shift_px - displacement_px)))
+    error_px = parameters.least_distance_px * factor
     beyond_px = np.abs(shift_px - start.pair.offset_px - start.prealignment.shift_px).max()
     is_elsewhere = distance_px >= error_px or beyond_px + error_px > start.prealignment.search_radius_px
-    return Unreached(shift_px, distance_px, share) if found.accepted and is_elsewhere else None
+    return Unreached(shift_px, distance_px, share) if search.accepted and is_elsewhere else None
 
 
 def start_at(
-    start: StartingAlignment, shift_px: Float64, distance_px: float, *, apart: bool
+    start: StartingAlignment,
+    shift_px: Float64,
+    distance_px: float,
+    *,
+    separately: bool,
+    parameters: RivalParameters = RivalParameters(),
 ) -> StartingAlignment | None:
     """Return a start around the (2,) `shift_px` (col, row), target view px minus reference view px.
 
-    What lies at half the distance on either side is beyond its search, if it is to be kept `apart`, or
-    within; None where that search would be too large.
+    What lies at half the distance on either side is beyond its search, if it is to be matched `separately`,
+    or within; None where that search would be too large.
     """
-    before, by = start.prealignment, PARAMETERS
+    before, by = start.prealignment, parameters
     error_px = RADIUS_AFTER_SEARCH_PX + math.ceil(SEARCH_ERROR_PX * (start.overviews.factor - 1))
     bound_px = max(by.least_radius_px, int(distance_px / 2))
-    radius_px = min(error_px, bound_px) if apart else error_px + bound_px
-    if not apart and radius_px > by.largest_radius_px:
+    radius_px = min(error_px, bound_px) if separately else error_px + bound_px
+    if not separately and radius_px > by.largest_radius_px:
         return None
     col, row = (shift_px - start.pair.offset_px).tolist()
     method = "search" if before.pose is None else before.method
-    moved = replace(before, method=method, shift_px=(col, row), search_radius_px=radius_px, searched=True)
-    return replace(start, prealignment=moved)
+    shifted = replace(before, method=method, shift_px=(col, row), search_radius_px=radius_px, searched=True)
+    return replace(start, prealignment=shifted)
 
 
-def doubt_of_rivals(start: StartingAlignment, found_px: Float64, rivals: Sequence[Rival]) -> Doubt:
-    """Return why the (2,) displacement `found_px` (col, row) with rivals, at least one, is no good one."""
-    named = ", ".join(
+def doubt_of_rivals(
+    start: StartingAlignment,
+    displacement_px: Float64,
+    rivals: Sequence[Rival],
+    parameters: RivalParameters = RivalParameters(),
+) -> Doubt:
+    """Return why the (2,) `displacement_px` (col, row) with rivals, at least one, is no good one."""
+    places = ", ".join(
         "({:+.0f}, {:+.0f})".format(*(rival.shift_xy - start.pair.offset_px))
-        for rival in rivals[: PARAMETERS.most_named]
+        for rival in rivals[: parameters.most_named]
     )
-    more = f" and {len(rivals) - PARAMETERS.most_named} more" if len(rivals) > PARAMETERS.most_named else ""
+    more = f" and {len(rivals) - parameters.most_named} more" if len(rivals) > parameters.most_named else ""
     if rivals[0].is_better:
         return Doubt(
             "poor",
-            f"the ground repeats, and the whole scene fits better at {named}{more} px (col, row) from the "
+            f"the ground repeats, and the whole scene fits better at {places}{more} px (col, row) from the "
             "georeferencing: the tie points are probably one or more periods off; give --prealign search, "
             "or a better geotransform",
-            float(np.hypot(*(rivals[0].shift_xy - found_px))),
+            float(np.hypot(*(rivals[0].shift_xy - displacement_px))),
         )
     return Doubt(
         "fair",
-        f"the ground repeats, and the whole scene fits about as well at {named}{more} px (col, row) from the "
+        f"the ground repeats, and the whole scene fits about as well at {places}{more} px (col, row) from "
+        "the "
         "georeferencing: the tie points may be one or more periods off; check a place that does not repeat",
     )
 

@@ -12,7 +12,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,12 @@ from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import OnExecutor, _inspection, connected
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.judge import JudgeParameters, judge
+from pcwlad_geo.registration.judge import JudgeParameters
+from pcwlad_geo.registration.matching import PairParameters, match_pair
+from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.scene.parameters import SceneParameters
 from tests.cli.process import command, environment
 from tests.cluster import Cluster, cluster
 from tests.execution.calls import wait_for_end
@@ -161,14 +163,14 @@ def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
 
 
 @pytest.mark.slow
-def test_what_remains_must_suffice(copy: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    demanding = partial(judge, parameters=JudgeParameters(least_points=40))
-    monkeypatch.setattr("pcwlad_geo.registration.scene.judge", demanding)
+def test_what_remains_must_suffice(copy: tuple[Path, Path]) -> None:
+    demanding = PairParameters(scene=SceneParameters(judge=JudgeParameters(least_points=40)))
     everything_but_a_corner = [(x, y) for x in range(LAST + 1) for y in range(LAST + 1) if max(x, y) > 18]
     on_event = stop_reading(copy[1], *everything_but_a_corner)
     with ThreadPoolExecutor(1) as executor:
-        found = run(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor), match_only=True)
-    assert found.status == "rejected"
+        pair, runner = prepare_pair(*copy, Settings(**TWICE)), OnExecutor(executor)
+        found = match_pair(pair, runner, on_event=on_event, parameters=demanding)
+    assert not found.accepted
     assert any("left out" in warning for warning in found.warnings)
 
 

@@ -19,7 +19,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import Camera
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration import prealign, scene
+from pcwlad_geo.registration import prealign
 from pcwlad_geo.registration.prealign import (
     Pose,
     PoseStarts,
@@ -31,7 +31,9 @@ from pcwlad_geo.registration.prealign import (
 )
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run
-from pcwlad_geo.registration.scene import pose_from_points
+from pcwlad_geo.registration.scene import pose as pose_module
+from pcwlad_geo.registration.scene.parameters import SceneContext
+from pcwlad_geo.registration.scene.pose import match_again_in_pose, pose_from_points
 from tests.scenes import Array, make_grid, render, tag_jpeg, write
 
 GRID = make_grid((300, 320))
@@ -121,7 +123,7 @@ def test_a_first_match_stands_where_a_second_finds_too_little_in_common(
     def refuse(*_: object) -> StartingAlignment:
         raise InputError("the common area is 12 x 12 px")
 
-    monkeypatch.setattr("pcwlad_geo.registration.scene.posed_start", refuse)
+    monkeypatch.setattr("pcwlad_geo.registration.scene.pose.posed_start", refuse)
     linear, shift = pose_of(35.0, 1.0)
     found = register(tmp_path, linear, shift, located=True)
     assert found.status == "registered"
@@ -405,13 +407,13 @@ def settle(
     def matched(verdict: bool) -> Any:
         accepted = SimpleNamespace(accepted=verdict)
         return SimpleNamespace(
-            matches=np.zeros(3), kept=slice(None), prealignment=prealignment, verdict=accepted
+            matches=np.zeros(3), consistent=slice(None), prealignment=prealignment, verdict=accepted
         )
 
     upcoming = list(map(matched, verdicts))
-    monkeypatch.setattr(scene, "pose_from_points", lambda points, frames: np.eye(3))
-    monkeypatch.setattr(scene, "posed_start", lambda *_: start)
-    monkeypatch.setattr(scene, "match_scene", lambda *_: upcoming.pop(0))
+    monkeypatch.setattr(pose_module, "pose_from_points", lambda points, **_: np.eye(3))
+    monkeypatch.setattr(pose_module, "posed_start", lambda *_: start)
+    monkeypatch.setattr(pose_module, "match_scene", lambda *_: upcoming.pop(0))
     nothing: Any = None
-    result, _ = scene._match_again_in_pose(matched(True), start, nothing, nothing, nothing)
+    result, _ = match_again_in_pose(matched(True), start, SceneContext(nothing, nothing, nothing))
     return result, len(upcoming)

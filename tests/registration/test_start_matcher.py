@@ -62,7 +62,7 @@ def test_a_proposed_pose_is_matched_to_a_fraction_of_a_pixel(
 ) -> None:
     name, linear, shift = stand_in
     monkeypatch.setattr(
-        "pcwlad_geo.registration.scene.PoseStarts", lambda *_: pytest.fail("the proposal was enough")
+        "pcwlad_geo.registration.scene.starts.PoseStarts", lambda *_: pytest.fail("the proposal was enough")
     )
     files = pair(tmp_path, linear, shift)
     found = run(*files, Settings(**FEW, start_matcher=f"{name}:of_known_pose"))

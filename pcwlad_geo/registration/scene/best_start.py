@@ -1,0 +1,106 @@
+"""A scene matched from the first start that holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
+from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration.advice import refusal
+from pcwlad_geo.registration.prealign import Overviews, StartingAlignment, by_georeferencing, read_overviews
+from pcwlad_geo.registration.rpc import shifted
+from pcwlad_geo.registration.scene.ground import compare_with_rivals, reach_all_ground, select_ground_motion
+from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
+from pcwlad_geo.registration.scene.parameters import SceneContext
+from pcwlad_geo.registration.scene.pose import match_again_in_pose
+from pcwlad_geo.registration.scene.starts import note_of_sizes, starts, warn_of_start, with_few_values
+from pcwlad_geo.tiepoints.table import TiePointTable, locate
+
+
+def match_from_best_start(
+    pair: ViewPair, overviews: Overviews, context: SceneContext
+) -> tuple[SceneMatches, ViewPair]:
+    """Match from the best start known; where that fails and the user left it open, from searches.
+
+    The second result are the views that were matched: those given, or others where the target was found in
+    another pose.
+    """
+    best: tuple[SceneMatches, StartingAlignment] | None = None
+    searched, count = False, 0
+    for start in starts(pair, overviews, context):
+        searched |= start is None or start.prealignment.searched
+        if start is None:
+            continue
+        count += 1
+        start = replace(start, prealignment=replace(start.prealignment, searched=searched, tried=count))
+        try:
+            scene = match_scene(start, context)
+        except InputError:
+            if start.prealignment.pose is None:
+                raise
+            continue  # a pose in which too little is common
+        if scene.verdict.accepted and start.prealignment.pose is not None:
+            scene, start = match_again_in_pose(scene, start, context)
+        if scene.verdict.accepted:
+            return _on_its_ground(scene, start, pair, context), start.pair
+        if best is None or scene.verdict.significance >= best[0].verdict.significance:
+            best = scene, start
+    if best is None:
+        raise InputError("no start for the matching: give --prealign auto")
+    scene, start = best
+    prealignment = replace(scene.prealignment, searched=searched, tried=count)
+    few_values = with_few_values(pair, overviews)
+    reason = refusal(scene.verdict, prealignment, georeferenced=pair.georeferenced, few_values=few_values)
+    reason += note_of_sizes(pair) if searched else ""
+    verdict = replace(scene.verdict, reason=reason)
+    return replace(scene, prealignment=prealignment, verdict=verdict), start.pair
+
+
+def _on_its_ground(
+    scene: SceneMatches, start: StartingAlignment, pair: ViewPair, context: SceneContext
+) -> SceneMatches:
+    """Return the matches at the displacement of the ground, and of all of it, as far as that can be known."""
+    scene = compare_with_rivals(scene, start, context)
+    scene = replace(select_ground_motion(scene, start, context), doubts=scene.doubts)
+    if scene.verdict.accepted:
+        scene = reach_all_ground(scene, start, context)
+        warn_of_start(pair, scene.prealignment, context)
+    return scene
+
+
+def match_again_from_shifted_rpc(
+    scene: SceneMatches, pair: ViewPair, context: SceneContext
+) -> tuple[SceneMatches, ViewPair]:
+    """Match a target with RPC again, as the shift found so far places it.
+
+    Where the RPC errs, the image is seen with the height of the ground beside: relief distorts the windows by
+    the more, the larger the error is.
+    """
+    for _ in range(2):
+        table = located(scene, pair, (pair.reference.info, pair.target.info))
+        shift_px = np.median(table.select("matched").displacement_px, axis=0)
+        if np.hypot(*shift_px) < context.parameters.near_px:
+            break
+        target = shifted(pair.target.info, shift_px)
+        shifted_pair = plan_rpc_views(pair.reference.info, target)
+        prealignment = by_georeferencing(context.settings.search_radius)
+        start = StartingAlignment(prealignment, shifted_pair, read_overviews(shifted_pair))
+        latest = match_scene(start, context)
+        if not latest.verdict.accepted:
+            break
+        scene, pair = replace(latest, prealignment=scene.prealignment), shifted_pair
+    return scene, pair
+
+
+def located(scene: SceneMatches, pair: ViewPair, originals: tuple[RasterInfo, RasterInfo]) -> TiePointTable:
+    """Return the matches in px of the original files, the inconsistent ones ``rejected``.
+
+    The pair are the views that they were found on, the `originals` reference and target as their own
+    georeferencing places them.
+    """
+    table = locate(scene.matches, pair, originals)
+    return replace(table, status=np.where(scene.consistent, "matched", "rejected"))
