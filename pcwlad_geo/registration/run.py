@@ -77,7 +77,7 @@ def _fit_and_prove(
     matches: Matches, effort: Effort, on_event: EventCallback, runner: Runner
 ) -> tuple[AssessedFit, Proof, dict[str, float]]:
     """Fit the correction and measure the error of the matching; return both and the seconds of the stages."""
-    from pcwlad_geo.registration.proof import prove  # slow to load, and rarely asked for
+    from pcwlad_geo.registration.proof.prove import prove  # slow to load, and rarely asked for
 
     fitted = fit_pair(matches, on_event=on_event)
     log = JobLog(on_event, list(fitted.warnings), dict(fitted.seconds))

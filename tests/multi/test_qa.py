@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.multi.qa import write_results
 from pcwlad_geo.multi.qa_result import QaResult
 from pcwlad_geo.outputs.folder import OutputFolder
+from pcwlad_geo.registration.proof.parameters import ProofParameters
+from pcwlad_geo.registration.proof.sites import set_up
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import run as run_pair
 from pcwlad_geo.report.page import check_pdf
@@ -296,7 +299,10 @@ def test_each_pair_that_is_measured_is_proved(proved: QaResult) -> None:
 def test_a_pair_with_too_few_points_for_a_proof_is_measured_all_the_same(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcwlad_geo.registration.proof.MIN_POINTS", 10**6)
+    demanding = partial(set_up, parameters=ProofParameters(least_points=10**6))
+    monkeypatch.setattr(
+        "pcwlad_geo.registration.proof.prove.set_up", lambda matches, effort, _: demanding(matches, effort)
+    )
     rasters = [folder / f"{name}.tif" for name in ("b4", "b5")]
     result = pcwlad_geo.qa(rasters, out_dir=folder / "few", prove="quick", **OPTIONS)
     (pair,) = result.pairs

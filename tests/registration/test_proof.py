@@ -17,21 +17,13 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.registration.matching import match_pair
 from pcwlad_geo.registration.opening import prepare_pair
-from pcwlad_geo.registration.proof import (
-    DIFFICULTIES,
-    Resampler,
-    _clouded,
-    _Errors,
-    _full_to_sample_ratio,
-    _leave_part_out_px,
-    _limit,
-    _locking,
-    _scatter,
-    _sigmas,
-    _spread,
-    moves_of,
-    sensitivity,
-)
+from pcwlad_geo.registration.proof.classes import sigma_entry
+from pcwlad_geo.registration.proof.correction_error import _full_to_sample_ratio, _leave_part_out_px
+from pcwlad_geo.registration.proof.errors import PointErrors, locking, scatter
+from pcwlad_geo.registration.proof.parameters import ProofParameters
+from pcwlad_geo.registration.proof.resampling import Resampler, moves_of
+from pcwlad_geo.registration.proof.sensitivity import DIFFICULTIES, _clouded, _limit, sensitivity
+from pcwlad_geo.registration.proof.sites import _spread
 from pcwlad_geo.registration.result import Matches, Registration
 from pcwlad_geo.registration.run import prove_pair, run
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -164,31 +156,33 @@ def test_a_pair_that_is_not_matched_proves_nothing(tmp_path: Path) -> None:
         prove_pair(*unlike, SETTINGS, "quick")
 
 
-def of_moves(moved: np.ndarray, phase: np.ndarray | None = None) -> _Errors:
-    return _Errors(moved, np.zeros(moved.shape) if phase is None else phase, 0, 0)
+def of_moves(moved: np.ndarray, phase: np.ndarray | None = None) -> PointErrors:
+    return PointErrors(
+        moved, np.zeros(moved.shape) if phase is None else phase, 0, 0, ProofParameters().least_matches
+    )
 
 
 def test_the_error_of_the_pair_as_it_lies_is_in_no_scatter() -> None:
     random = np.random.default_rng(1)
     moved = random.normal(0, 0.02, (8, 500, 2)) + random.normal(0, 0.3, (1, 500, 2))
-    assert _scatter(of_moves(moved).centred) == pytest.approx([0.02, 0.02], rel=0.05)
+    assert scatter(of_moves(moved).centred) == pytest.approx([0.02, 0.02], rel=0.05)
 
 
 def test_a_wave_along_the_pixel_is_locking() -> None:
     random = np.random.default_rng(2)
     phase = random.uniform(0, 1, (8, 300, 2))
     wave = np.array([0.05, 0.0]) * np.sin(2 * np.pi * phase)
-    amplitude, found = _locking(of_moves(wave + random.normal(0, 0.01, phase.shape), phase))
+    amplitude, found = locking(of_moves(wave + random.normal(0, 0.01, phase.shape), phase))
     assert amplitude == pytest.approx([0.05, 0.0], abs=0.003)
     assert np.abs(found - wave).max() < 0.004
 
 
 def test_sigmas_that_are_too_small_get_the_factor_that_makes_them_hold() -> None:
     error = np.random.default_rng(3).normal(0, 0.04, (8, 400, 2))
-    told = _sigmas(error, np.full((400, 2), 0.02))
+    told = sigma_entry(error, np.full((400, 2), 0.02))
     assert told.factor == pytest.approx(2.0, rel=0.03)
     assert told.within_68 == pytest.approx(0.383, abs=0.02)
-    held = _sigmas(error, np.full((400, 2), 0.02 * told.factor))
+    held = sigma_entry(error, np.full((400, 2), 0.02 * told.factor))
     assert (held.within_68, held.within_95) == pytest.approx((0.683, 0.95), abs=0.01)
 
 
@@ -200,7 +194,7 @@ def test_sigmas_shrink_only_as_far_as_the_pair_scatters(
     sigma: float, beyond: float, calibration: float
 ) -> None:
     error = np.random.default_rng(3).normal(0, 0.04, (8, 400, 2))
-    told = _sigmas(error, np.full((400, 2), sigma), beyond)
+    told = sigma_entry(error, np.full((400, 2), sigma), beyond)
     assert told.calibration == pytest.approx(calibration, rel=0.03)
 
 
@@ -228,7 +222,7 @@ def test_halving_finds_the_largest_level_that_is_tolerated(tolerated: int) -> No
 
 def test_clouds_cover_the_share_that_is_told() -> None:
     image = render(GRID)
-    clouded = _clouded(image, 0.3, np.random.default_rng(1))
+    clouded = _clouded(image, 0.3, np.random.default_rng(1), ProofParameters())
     assert ((clouded > np.percentile(image, 99)) | (np.abs(clouded - image) > 1)).mean() == pytest.approx(
         0.35, abs=0.07
     )
@@ -256,9 +250,9 @@ def test_a_blind_spot_costs_what_the_model_misses_there(matched: Matches) -> Non
         for each in range(9):
             without = np.linalg.lstsq(terms[part != each], known[part != each], rcond=None)[0]
             off.append(np.sqrt((((terms @ without - whole)[part == each]) ** 2).sum(axis=1).mean()))
-        cost_px = _leave_part_out_px(matches_of(replace(table, target_px=known), matched), "affine", 41.0)
+        cost_px = _leave_part_out_px(matches_of(replace(table, target_px=known), matched), "affine", 41.0, 3)
         assert cost_px == pytest.approx(max(off), rel=0.25, abs=1e-6)
-    assert _leave_part_out_px(matches_of(table[:2], matched), "affine", 41.0) is None
+    assert _leave_part_out_px(matches_of(table[:2], matched), "affine", 41.0, 3) is None
 
 
 def matches_of(table: TiePointTable, matched: Matches) -> Matches:

@@ -25,7 +25,7 @@ from pcwlad_geo.correction.error_statistics import (
     TrialEntry,
     UnobservableError,
 )
-from pcwlad_geo.registration.proof import moves_of
+from pcwlad_geo.registration.proof.resampling import moves_of
 from pcwlad_geo.report.content import proof_numbers, to_json
 from pcwlad_geo.report.page import proof_page
 from tests.registrations import make_registration
