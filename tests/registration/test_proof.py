@@ -222,7 +222,7 @@ def test_halving_finds_the_largest_level_that_is_tolerated(tolerated: int) -> No
 
 def test_clouds_cover_the_share_that_is_told() -> None:
     image = render(GRID)
-    clouded = _clouded(image, 0.3, np.random.default_rng(1), ProofParameters())
+    clouded = _clouded(image, 0.3, np.random.default_rng(1))
     assert ((clouded > np.percentile(image, 99)) | (np.abs(clouded - image) > 1)).mean() == pytest.approx(
         0.35, abs=0.07
     )
@@ -308,6 +308,6 @@ def test_points_of_a_scene_slightly_larger_than_a_part_are_not_from_its_edges(ma
     job = replace(matched.job, region=Window(0, 0, 700, 700))
     places = np.random.default_rng(5).uniform(0, 700, (3000, 2))
     for effort in ("quick", "full"):
-        chosen, of_part = _spread(places, job, effort, np.random.default_rng(1))
+        chosen, of_part = _spread(places, job, effort, np.random.default_rng(1), ProofParameters())
         assert (places[chosen] > 640).any(axis=1).mean() < 0.3  # 16 % of the scene
         assert np.bincount(of_part).min() > 20
