@@ -194,7 +194,6 @@ def _parsed(line: str) -> dict[str, Any]:
 def _answer(
     editor: Editor, request: dict[str, Any], tell: Tell, waiting: queue.Queue[dict[str, Any] | None]
 ) -> None:
-    from pcwlad_geo.registration.editing import RADIUS_PX
     from pcwlad_geo.tiepoints.table import columns_of
 
     what, number = request.get("do"), request.get("number")
@@ -217,7 +216,8 @@ def _answer(
             _tell_model(editor, model, named, number, tell)
     elif what == "add":
         places = tuple(request["reference_xy"]), tuple(request["target_xy"])
-        radius_px = min(float(request.get("radius_px", RADIUS_PX)), RADIUS_PX)
+        most_px = editor.parameters.radius_px
+        radius_px = min(float(request.get("radius_px", most_px)), most_px)
         refined = editor.add(*places, radius_px, gone)
         point = {name: values[-1].item() for name, values in columns_of(editor.table).items()}
         tell("added", {"number": number, "refined": refined, "point": point})

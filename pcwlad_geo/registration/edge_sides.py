@@ -8,7 +8,6 @@ residual shows. Here the edges of either sign of one image are compared with all
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -22,7 +21,7 @@ from pcwlad_geo.types import Bool, Float32, Float64
 
 
 @dataclass(frozen=True, slots=True)
-class EdgeSides:
+class EdgeParameters:
     """How the two sides are compared, px of the matching grid."""
 
     side_px: int = 384
@@ -39,50 +38,50 @@ class EdgeSides:
     """Least error that is told: at most 0.1 px on bands of the same edges, 0.38 px of heights."""
 
 
-SIDES: Final = EdgeSides()
-"""As every pair is looked at."""
-
-
-def error_of_sides_px(pair: ViewPair, points: TiePoints, by: EdgeSides = SIDES) -> Float64:
+def error_of_sides_px(
+    pair: ViewPair, points: TiePoints, parameters: EdgeParameters = EdgeParameters()
+) -> Float64:
     """Return (2,) the error (col, row) that tie points share because their edges differ by side, view px.
 
     It is half of the distance between rising and falling edges, 0 where that may be chance. The points are of
     the views of the pair. Raises `InputError` if these cannot be read.
     """
     col, row = np.median(points.reference_xy_px, axis=0).astype(int).tolist()
-    half = by.side_px // 2
-    window = Window(row - half, col - half, by.side_px, by.side_px).clipped(pair.reference.grid.shape)
-    moved = np.round(np.median(points.displacement_px, axis=0)).astype(int).tolist()
+    half = parameters.side_px // 2
+    window = Window(row - half, col - half, parameters.side_px, parameters.side_px).clipped(
+        pair.reference.grid.shape
+    )
+    shift_px = np.round(np.median(points.displacement_px, axis=0)).astype(int).tolist()
     reference = pair.reference.read(window)
-    target = _on_reference(pair.target.read(window.moved(moved[1], moved[0])), window, moved, points)
+    target = _on_reference(pair.target.read(window.moved(shift_px[1], shift_px[0])), window, shift_px, points)
     valid = reference.valid & target.valid
-    valid = cv2.erode(valid.astype(np.uint8), np.ones((by.surroundings_px,) * 2), borderValue=0) > 0
-    gradients = [_gradient(patch, by) for patch in (reference, target)]
+    valid = cv2.erode(valid.astype(np.uint8), np.ones((parameters.surroundings_px,) * 2), borderValue=0) > 0
+    gradients = [_gradient(patch, parameters) for patch in (reference, target)]
     along = int(valid.shape[1] > valid.shape[0])
-    parts = np.array_split(np.arange(valid.shape[along]), by.strips)
+    parts = np.array_split(np.arange(valid.shape[along]), parameters.strips)
     error_px = np.zeros(2)
     for axis in (0, 1):
-        here, there = gradients[0][axis], gradients[1][axis]
-        taken = [[np.take(plane, part, along) for plane in (here, there)] for part in parts]
+        first_plane, second_plane = gradients[0][axis], gradients[1][axis]
+        strips = [[np.take(plane, part, along) for plane in (first_plane, second_plane)] for part in parts]
         inside = [np.take(valid, part, along) for part in parts]
         apart_px = np.array(
             [
-                _apart_px(first, second, at, axis, by)
-                for (first, second), at in zip(taken, inside, strict=True)
+                _separation_px(first, second, at, axis, parameters)
+                for (first, second), at in zip(strips, inside, strict=True)
             ]
         )
-        known = np.isfinite(apart_px)
-        same_sign = np.abs(np.sign(apart_px).sum(axis=0, where=known)) == known.sum(axis=0)
-        if (known.sum(axis=0) >= by.strips - 1).all() and same_sign.all():
+        finite = np.isfinite(apart_px)
+        same_sign = np.abs(np.sign(apart_px).sum(axis=0, where=finite)) == finite.sum(axis=0)
+        if (finite.sum(axis=0) >= parameters.strips - 1).all() and same_sign.all():
             size_px = np.abs(np.nanmedian(apart_px, axis=0)) / 2
-            error_px[axis] = size_px.mean() if size_px.min() >= by.least_px else 0.0
+            error_px[axis] = size_px.mean() if size_px.min() >= parameters.least_px else 0.0
     return error_px
 
 
-def _on_reference(target: Patch, window: Window, moved: list[int], points: TiePoints) -> Patch:
+def _on_reference(target: Patch, window: Window, shift_px: list[int], points: TiePoints) -> Patch:
     """Return the target as an affine fit of the points puts it on the pixels of the reference."""
     origin = np.array([window.col, window.row], np.float64) + 0.5  # of array indices
-    matrix = affine_between(points.reference_xy_px - origin, points.target_xy_px - origin - moved)
+    matrix = affine_between(points.reference_xy_px - origin, points.target_xy_px - origin - shift_px)
     size, inverse = target.valid.shape[::-1], cv2.WARP_INVERSE_MAP
     values = target.values.astype(np.float32)
     values = np.asarray(cv2.warpAffine(values, matrix, size, flags=cv2.INTER_CUBIC | inverse), np.float32)
@@ -90,40 +89,46 @@ def _on_reference(target: Patch, window: Window, moved: list[int], points: TiePo
     return Patch(values, np.asarray(valid > 0))
 
 
-def _gradient(patch: Patch, by: EdgeSides) -> tuple[Float32, Float32]:
+def _gradient(patch: Patch, parameters: EdgeParameters) -> tuple[Float32, Float32]:
     """Return the derivatives (along columns, along rows), divided by the contrast around."""
-    smooth = cv2.GaussianBlur(patch.values.astype(np.float32), (0, 0), by.gradient_sigma_px)
+    smooth = cv2.GaussianBlur(patch.values.astype(np.float32), (0, 0), parameters.gradient_sigma_px)
     across, down = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     size = np.hypot(across, down)
-    around = np.sqrt(np.maximum(cv2.blur(size**2, (by.surroundings_px,) * 2), 0)) + np.float32(
+    around = np.sqrt(np.maximum(cv2.blur(size**2, (parameters.surroundings_px,) * 2), 0)) + np.float32(
         np.median(size) / 3 + 1e-9
     )
     return np.asarray(across / around), np.asarray(down / around)
 
 
-def _apart_px(here: Float32, there: Float32, valid: Bool, axis: int, by: EdgeSides) -> tuple[float, float]:
+def _separation_px(
+    first: Float32, second: Float32, valid: Bool, axis: int, parameters: EdgeParameters
+) -> tuple[float, float]:
     """Return how far rising edges of the target, and of the reference, lie from falling ones, or NaN."""
-    steep = np.abs(here), np.abs(there)
-    rising, falling = (_displacement(steep[0], np.maximum(s * there, 0), valid, axis, by) for s in (1, -1))
-    up, down = (_displacement(np.maximum(s * here, 0), steep[1], valid, axis, by) for s in (1, -1))
+    steep = np.abs(first), np.abs(second)
+    rising, falling = (
+        _displacement(steep[0], np.maximum(s * second, 0), valid, axis, parameters) for s in (1, -1)
+    )
+    up, down = (_displacement(np.maximum(s * first, 0), steep[1], valid, axis, parameters) for s in (1, -1))
     return rising - falling, up - down
 
 
-def _displacement(first: Float32, second: Float32, valid: Bool, axis: int, by: EdgeSides) -> float:
+def _displacement(
+    first: Float32, second: Float32, valid: Bool, axis: int, parameters: EdgeParameters
+) -> float:
     """Return where the second plane lies along an axis (0: columns), px; NaN where that is out of reach."""
-    reach, (rows, cols) = by.reach_px, valid.shape
+    reach, (rows, cols) = parameters.reach_px, valid.shape
     inner = valid[reach : rows - reach, reach : cols - reach]
     if np.count_nonzero(inner) < 2:
         return float("nan")
-    here = first[reach : rows - reach, reach : cols - reach][inner]
-    here -= here.mean()
+    fixed = first[reach : rows - reach, reach : cols - reach][inner]
+    fixed -= fixed.mean()
     scores = []
     for step in range(-reach, reach + 1):
         row, col = reach + (axis == 1) * step, reach + (axis == 0) * step
-        there = second[row : rows - 2 * reach + row, col : cols - 2 * reach + col][inner]
-        scores.append(float(here @ there) / max(float(there.std()), 1e-9))
+        moving = second[row : rows - 2 * reach + row, col : cols - 2 * reach + col][inner]
+        scores.append(float(fixed @ moving) / max(float(moving.std()), 1e-9))
     best = int(np.argmax(scores))
     if not 0 < best < len(scores) - 1:
         return float("nan")
     before, middle, after = scores[best - 1 : best + 2]
-    return float(best - by.reach_px + (before - after) / (2 * (before - 2 * middle + after)))
+    return float(best - parameters.reach_px + (before - after) / (2 * (before - 2 * middle + after)))

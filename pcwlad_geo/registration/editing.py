@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -26,14 +25,19 @@ from pcwlad_geo.tiepoints.qgis_points import write_points
 from pcwlad_geo.tiepoints.table import joined, place
 from pcwlad_geo.types import Float64, PathLike
 
-FAR_PX: Final = 1e7
-"""Largest coordinate of a point in a file, px, either way."""
-AROUND_PX: Final = 48
-"""Distance from a place that a user shows up to which others are matched too, matching-grid px."""
-RADIUS_PX: Final = 16.0
-"""Distance from the two places shown within which a point is refined, matching-grid px."""
-MIN_SPACING_PX: Final = 3.0
-"""Two tie points do not lie nearer to each other in the reference, matching-grid px."""
+
+@dataclass(frozen=True, slots=True)
+class EditingParameters:
+    """Numbers of points that a user adds."""
+
+    far_px: float = 1e7
+    """Largest coordinate of a point in a file, px, either way."""
+    around_px: int = 48
+    """Distance from a place that a user shows up to which others are matched too, matching-grid px."""
+    radius_px: float = 16.0
+    """Distance from the two places shown within which a point is refined, matching-grid px."""
+    spacing_px: float = 3.0
+    """Two tie points do not lie nearer to each other in the reference, matching-grid px."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,15 +58,15 @@ class EditedFit:
 class Editor:
     """The tie points of a pair, as a user changes them."""
 
-    def __init__(self, pair: Pair, path: Path) -> None:
-        self._pair = pair
+    def __init__(self, pair: Pair, path: Path, parameters: EditingParameters = EditingParameters()) -> None:
+        self._pair, self.parameters = pair, parameters
         self.files: tuple[PathLike, ...] = (path, *(file.identity.path for file in pair.inputs))
         """What has been read: the tie points, and the files of both rasters."""
         with trusting(pair.settings.trust):
-            given = user_points(path, pair.views)
-        self.table = given.table
-        self._roles = np.full(len(given.table), "fit", "<U8") if given.roles is None else given.roles
-        self._side = given.origin.window_px or pair.settings.window or MatchSettings().window
+            points = user_points(path, pair.views)
+        self.table = points.table
+        self._roles = np.full(len(points.table), "fit", "<U8") if points.roles is None else points.roles
+        self._side = points.origin.window_px or pair.settings.window or MatchSettings().window
         self.off = np.flatnonzero(self.table.status == "rejected").tolist()
         """Rows that are off at first: those that the file disables or their neighbours contradict."""
 
@@ -85,8 +89,8 @@ class Editor:
         on[[index for index in off if 0 <= index < len(on)]] = False
         table, fitted, check = self.table, on & (self._roles == "fit"), self._roles == "check"
         footprint = footprint_px(replace(table, status=np.where(on, "matched", "rejected")), self._window_px)
-        given = (table.predicted_px[fitted], table.target_px[fitted], table.covariance_px2[fitted])
-        correction = MODELS[model].fit(*given, footprint_px=footprint).correction
+        points = (table.predicted_px[fitted], table.target_px[fitted], table.covariance_px2[fitted])
+        correction = MODELS[model].fit(*points, footprint_px=footprint).correction
         residual = table.target_px - correction.forward(table.predicted_px)
         judged = residual[check if check.any() else on]
         rmse_px = float(np.sqrt((judged**2).sum(axis=1).mean()))
@@ -96,7 +100,7 @@ class Editor:
         self,
         reference_xy: tuple[float, float],
         target_xy: tuple[float, float],
-        radius_px: float = RADIUS_PX,
+        radius_px: float = EditingParameters().radius_px,
         gone: Collection[int] = (),
     ) -> bool:
         """Add a point at two places, each on its own map; return whether matching has refined it.
@@ -107,31 +111,34 @@ class Editor:
         `gone` are rows that were taken away, numbered from 0. Raises `InputError` where a point lies already,
         or neither raster is.
         """
-        views, far = self._pair.views, f"a point at {reference_xy}, {target_xy} lies nowhere near the images"
+        views, message = (
+            self._pair.views,
+            f"a point at {reference_xy}, {target_xy} lies nowhere near the images",
+        )
         if not np.isfinite([*reference_xy, *target_xy]).all():
-            raise InputError(far)
-        given = tuple(
+            raise InputError(message)
+        places_px = tuple(
             info.grid.to_px(np.array([xy], dtype=np.float64))
             for info, xy in ((views.reference.info, reference_xy), (views.target.info, target_xy))
         )
-        if not np.abs(np.concatenate(given)).max() <= FAR_PX:
-            raise InputError(far)
-        others = np.delete(self.table.reference_px, list(gone), axis=0)
-        taken_px = views.reference.from_file_px(others)
-        off_px = np.abs(taken_px - views.reference.from_file_px(given[0])).max(axis=1)
-        if (off_px < MIN_SPACING_PX).any():
+        if not np.abs(np.concatenate(places_px)).max() <= self.parameters.far_px:
+            raise InputError(message)
+        other_px = np.delete(self.table.reference_px, list(gone), axis=0)
+        taken_px = views.reference.from_file_px(other_px)
+        off_px = np.abs(taken_px - views.reference.from_file_px(places_px[0])).max(axis=1)
+        if (off_px < self.parameters.spacing_px).any():
             raise InputError("there is a tie point already: move or delete that one")
         with trusting(self._pair.settings.trust):
-            found = self._refined(given[0], given[1], radius_px, taken_px)
-        reference_px, target_px, covariance_px2, score = found or (
-            given[0],
-            given[1],
+            refined = self._refined(places_px[0], places_px[1], radius_px, taken_px)
+        reference_px, target_px, covariance_px2, score = refined or (
+            places_px[0],
+            places_px[1],
             np.eye(2)[None],
             np.ones(1),
         )
         self._roles = np.append(self._roles, "fit")
         self.table = joined(self.table, place(reference_px, target_px, covariance_px2, score, views))
-        return found is not None
+        return refined is not None
 
     def save(self, path: Path, off: Collection[int], gone: Collection[int] = ()) -> None:
         """Write the points but those `gone`; those `off` are not enabled.
@@ -140,8 +147,8 @@ class Editor:
         """
         status = np.full(len(self.table), "matched", dtype="<U8")
         status[list(off)] = "rejected"
-        left = np.delete(np.arange(len(status)), list(gone))
-        table, target = replace(self.table, status=status)[left], self._pair.target
+        remaining = np.delete(np.arange(len(status)), list(gone))
+        table, target = replace(self.table, status=status)[remaining], self._pair.target
         if path.suffix == ".csv":
             write_csv(table, path)
         else:
@@ -166,7 +173,7 @@ class Editor:
             window=self._side,
             search_radius=max(1, int(np.ceil(radius_px))),
         )
-        reach = margin_px(matching) + AROUND_PX
+        reach = margin_px(matching) + self.parameters.around_px
         middles = (views.reference.from_file_px(reference_px)[0], views.target.from_file_px(target_px)[0])
         if not np.isfinite(middles).all():
             return None
@@ -186,16 +193,23 @@ class Editor:
             )
         except InputError:  # nothing to see there
             return None
-        here, there = points.reference_xy_px + corners[0], points.target_xy_px + corners[1]
-        far = np.hypot(*(here - middles[0]).T)
-        moved = np.maximum(far, np.hypot(*(there - middles[1]).T))
-        occupied = np.array(
-            [(np.abs(taken_px - each).max(axis=1) < MIN_SPACING_PX).any() for each in here], bool
+        reference_view_px, target_view_px = (
+            points.reference_xy_px + corners[0],
+            points.target_xy_px + corners[1],
         )
-        far[occupied | (moved > radius_px + 1)] = np.inf
-        if len(far) == 0 or np.isinf(far.min()):
+        distance_px = np.hypot(*(reference_view_px - middles[0]).T)
+        largest_px = np.maximum(distance_px, np.hypot(*(target_view_px - middles[1]).T))
+        occupied = np.array(
+            [
+                (np.abs(taken_px - place_px).max(axis=1) < self.parameters.spacing_px).any()
+                for place_px in reference_view_px
+            ],
+            bool,
+        )
+        distance_px[occupied | (largest_px > radius_px + 1)] = np.inf
+        if len(distance_px) == 0 or np.isinf(distance_px.min()):
             return None
-        nearest = int(far.argmin())
+        nearest = int(distance_px.argmin())
         best = points[nearest : nearest + 1]
         found_px = (
             views.reference.to_file_px(best.reference_xy_px + corners[0]),

@@ -6,8 +6,9 @@ wherever the ground is. They are asked for only where the tie points lie on the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import cv2
@@ -20,6 +21,27 @@ from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.types import Bool, Float32, Float64
+
+
+@dataclass(frozen=True, slots=True)
+class SpeckParameters:
+    """How specks are found that lie on the same pixels of both frames: dust, drops, dead pixels, ships."""
+
+    outlying: float = 3.0
+    """Least deviation of a pixel from its surroundings in both images, to the same side, robust sigmas."""
+    surroundings_px: float = 12.0
+    """Standard deviation of the filter that gives the surroundings."""
+    grow_px: int = 3
+    """By how much specks are grown, for their blurred edges."""
+    largest_px: int = 40
+    """Largest extent of a speck; larger ones are ground, such as an island."""
+    most: float = 0.2
+    """Largest share of the image that is specks; beyond it, it is texture."""
+    fill_px: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
+    """Standard deviations of the filters that fill specks from around them, in turn."""
+    structured: float = 2.0
+    """Least ratio of the structure to that of white noise from which the rest of an image can tell: 1.3 of
+    noise, 9 and more of ground, however faint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,38 +94,13 @@ class FrameParameters:
     same_correlation: float = 0.95
     """Correlation of both images in these wavelengths from which their difference holds no ground."""
     rival_min_px: int = 5
-    """Least displacement that is told from none so."""
+    """Least displacement that is distinguished from none so."""
+    specks: SpeckParameters = field(default_factory=SpeckParameters)
+    """Those of specks."""
 
 
-PARAMETERS: Final = FrameParameters()
-"""Those that are used."""
 SAME_PIXELS: Final = "the two agree at exactly the same pixels of both files, and "
 """How the doubt of such a pair begins."""
-
-
-@dataclass(frozen=True, slots=True)
-class SpeckParameters:
-    """How specks are found that lie on the same pixels of both frames: dust, drops, dead pixels, ships."""
-
-    outlying: float = 3.0
-    """Least deviation of a pixel from its surroundings in both images, to the same side, robust sigmas."""
-    surroundings_px: float = 12.0
-    """Standard deviation of the filter that gives the surroundings."""
-    grow_px: int = 3
-    """By how much specks are grown, for their blurred edges."""
-    largest_px: int = 40
-    """Largest extent of a speck; larger ones are ground, such as an island."""
-    most: float = 0.2
-    """Largest share of the image that is specks; beyond it, it is texture."""
-    fill_px: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
-    """Standard deviations of the filters that fill specks from around them, in turn."""
-    structured: float = 2.0
-    """Least ratio of the structure to that of white noise from which the rest of an image can tell: 1.3 of
-    noise, 9 and more of ground, however faint."""
-
-
-SPECKS: Final = SpeckParameters()
-"""Those that are used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,32 +113,39 @@ class FrameEvidence:
     """Another displacement (col, row) of the ground, target px, that the difference of both shows."""
     without_specks: bool = False
     """Whether the share is that of what is left without specks on the same pixels of both."""
+    parameters: FrameParameters = FrameParameters()
 
     @property
     def is_frame(self) -> bool:
         """Whether the ground does not lie where the two agree."""
-        return self.rival_px is not None or self.share < PARAMETERS.frame_share
+        return self.rival_px is not None or self.share < self.parameters.frame_share
 
     @property
     def doubt(self) -> str | None:
         """Why the ground may not lie where the two agree; None where nothing speaks against it."""
-        if self.rival_px is None and self.share >= PARAMETERS.ground_share:
+        if self.rival_px is None and self.share >= self.parameters.ground_share:
             return None
-        once = "without small specks that both have" if self.without_specks else "once smoothed"
-        seen = f"only {100 * self.share:.0f} % of the places with structure agree there {once}"
+        manner = "without small specks that both have" if self.without_specks else "once smoothed"
+        evidence = f"only {100 * self.share:.0f} % of the places with structure agree there {manner}"
         if self.rival_px is not None:
             col, row = self.rival_px
-            seen = f"the difference of both shows ground that has moved by about ({col:+.0f}, {row:+.0f}) px"
+            evidence = (
+                f"the difference of both shows ground that has moved by about ({col:+.0f}, {row:+.0f}) px"
+            )
         only = "only" if self.is_frame else "perhaps only"
         return (
             f"{SAME_PIXELS}{only} in what stands still in both frames: "
             "a fixed pattern of the sensor, dust, vignetting, or text, lines and masks burnt in "
-            f"({seen}); mask it, correct the frames for it, or give their georeferencing"
+            f"({evidence}); mask it, correct the frames for it, or give their georeferencing"
         )
 
 
 def frame_evidence(
-    reference: RasterInfo, target: RasterInfo, reference_px: Float64, target_px: Float64
+    reference: RasterInfo,
+    target: RasterInfo,
+    reference_px: Float64,
+    target_px: Float64,
+    parameters: FrameParameters = FrameParameters(),
 ) -> FrameEvidence | None:
     """Return what speaks for the ground of a pair whose tie points lie on the same pixels of both files.
 
@@ -158,34 +162,41 @@ def frame_evidence(
     rpc = isinstance(reference.grid, RpcGrid) or isinstance(target.grid, RpcGrid)
     if rpc or reference.grid.shape != target.grid.shape or len(reference_px) == 0:
         return None
-    moved = target_px - reference_px
-    most_px = np.quantile(np.hypot(*moved.T), PARAMETERS.most)
-    median_px = np.abs(np.median(moved, axis=0)).max()
-    exact = median_px <= PARAMETERS.identity_px and most_px <= PARAMETERS.scatter_px
-    if max(median_px, most_px) > PARAMETERS.pulled_px:
+    displacement_px = target_px - reference_px
+    most_px = np.quantile(np.hypot(*displacement_px.T), parameters.most)
+    median_px = np.abs(np.median(displacement_px, axis=0)).max()
+    exact = median_px <= parameters.identity_px and most_px <= parameters.scatter_px
+    if max(median_px, most_px) > parameters.pulled_px:
         return None
     with suppress(InputError):
-        (one, known), (other, known_there) = (_middle_of(info) for info in (reference, target))
-        valid = known & known_there
+        (one, valid_in_one), (other, valid_in_other) = (
+            _middle_of(info, parameters) for info in (reference, target)
+        )
+        valid = valid_in_one & valid_in_other
         for end in (np.min, np.max):  # text and marks burnt in are as dark or bright as can be
             valid &= ~((one == end(one)) & (other == end(other)))
         raw = not (reference.georeferenced or target.georeferenced)  # others are no frames of a camera
-        window, quarter = PARAMETERS.window_px, min(one.shape) // 8 * 2 + 1
-        window = max(PARAMETERS.smallest_window_px, min(quarter, window)) if raw else window
-        share, rival_px = _share_at_identity(one, other, valid, window), _rival(one, other, valid)
-        shares_pattern = exact and _common_grey(one, other, valid) >= PARAMETERS.common_grey
+        window, quarter = parameters.window_px, min(one.shape) // 8 * 2 + 1
+        window = max(parameters.smallest_window_px, min(quarter, window)) if raw else window
+        share, rival_px = (
+            _share_at_identity(one, other, valid, window, parameters),
+            _rival(one, other, valid, parameters),
+        )
+        shares_pattern = exact and _common_grey(one, other, valid) >= parameters.common_grey
         if share is None or not (shares_pattern or rival_px):
             return None
-        rest = _share_without_specks(one, other, valid, window) if raw and rival_px is None else None
-        if rest is not None and rest < share:
-            return FrameEvidence(rest, None, without_specks=True)
-        return FrameEvidence(share, rival_px)
+        share_of_rest = (
+            _share_without_specks(one, other, valid, window, parameters) if raw and rival_px is None else None
+        )
+        if share_of_rest is not None and share_of_rest < share:
+            return FrameEvidence(share_of_rest, None, without_specks=True, parameters=parameters)
+        return FrameEvidence(share, rival_px, parameters=parameters)
     return None
 
 
-def _middle_of(info: RasterInfo) -> tuple[Float32, Bool]:
+def _middle_of(info: RasterInfo, parameters: FrameParameters) -> tuple[Float32, Bool]:
     """Return the (rows, cols) values and validity of the middle of a file, the invalid ones as the median."""
-    rows, cols = (min(n, PARAMETERS.largest_px) for n in info.grid.shape)
+    rows, cols = (min(n, parameters.largest_px) for n in info.grid.shape)
     window = Window((info.grid.shape[0] - rows) // 2, (info.grid.shape[1] - cols) // 2, rows, cols)
     patch = View(info, info.grid, "none").read(window)
     values = patch.values.astype(np.float32)
@@ -202,18 +213,20 @@ def _band(values: Float32, smooth_px: float) -> Float32:
     return np.asarray(band, np.float32)
 
 
-def _structure(values: Float32, valid: Bool) -> Float32:
+def _structure(values: Float32, valid: Bool, parameters: FrameParameters) -> Float32:
     """Return the (2, rows, cols) orientation of slopes at twice its angle, times their size."""
-    band = _band(values, PARAMETERS.smooth_px)
+    band = _band(values, parameters.smooth_px)
     x, y = cv2.Sobel(band, cv2.CV_32F, 1, 0), cv2.Sobel(band, cv2.CV_32F, 0, 1)
-    far = cv2.erode(valid.astype(np.uint8), np.ones((2 * round(3 * PARAMETERS.smooth_px) + 1,) * 2)) > 0
-    return np.asarray(np.stack([x * x - y * y, 2 * x * y]) * (far / (np.hypot(x, y) + 1e-12)), np.float32)
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((2 * round(3 * parameters.smooth_px) + 1,) * 2)) > 0
+    return np.asarray(np.stack([x * x - y * y, 2 * x * y]) * (inner / (np.hypot(x, y) + 1e-12)), np.float32)
 
 
-def _share_at_identity(one: Float32, other: Float32, valid: Bool, window: int) -> float | None:
+def _share_at_identity(
+    one: Float32, other: Float32, valid: Bool, window: int, parameters: FrameParameters
+) -> float | None:
     """Return the share of the places with structure at which no displacement fits best."""
-    first, second = _structure(one, valid), _structure(other, valid)
-    reach, step = PARAMETERS.reach_px, PARAMETERS.step_px
+    first, second = _structure(one, valid, parameters), _structure(other, valid, parameters)
+    reach, step = parameters.reach_px, parameters.step_px
     (rows, cols), margin = one.shape, window // 2 + reach
     at = np.s_[margin : rows - margin : window // 2, margin : cols - margin : window // 2]
 
@@ -223,82 +236,95 @@ def _share_at_identity(one: Float32, other: Float32, valid: Bool, window: int) -
     power = sums((first**2).sum(axis=0)), (second**2).sum(axis=0)
     scores, offsets = [], range(-reach, reach + 1, step)
     for row, col in ((row, col) for row in offsets for col in offsets):
-        there = np.roll(second, (-row, -col), axis=(1, 2))
+        shifted = np.roll(second, (-row, -col), axis=(1, 2))
         energy = sums(np.roll(power[1], (-row, -col), axis=(0, 1)))
-        scores.append(sums((first * there).sum(axis=0)) / np.sqrt(np.maximum(energy, 1e-20)))
+        scores.append(sums((first * shifted).sum(axis=0)) / np.sqrt(np.maximum(energy, 1e-20)))
     best = np.argmax(scores, axis=0)
     middle, side = len(offsets) // 2, len(offsets)
     at_none = np.maximum(abs(best // side - middle), abs(best % side - middle)) <= 1
-    return _share_of_structured(np.asarray(at_none), power[0], sums(power[1]))
+    return _share_of_structured(np.asarray(at_none), (power[0], sums(power[1])), parameters)
 
 
-def _share_without_specks(one: Float32, other: Float32, valid: Bool, window: int) -> float | None:
+def _share_without_specks(
+    one: Float32, other: Float32, valid: Bool, window: int, parameters: FrameParameters
+) -> float | None:
     """Return the share of places that agree without specks that both have; None if it tells nothing.
 
     Dust on a sensor or a window multiplies both frames by the same at the same pixels. Where all that agrees
     lies there, the ground does not.
     """
-    specks = _specks(one, other, valid)
-    if not 0 < specks.mean() <= SPECKS.most:
+    specks = _specks(one, other, valid, parameters)
+    if not 0 < specks.mean() <= parameters.specks.most:
         return None
-    filled = [_filled(values, specks) for values in (one, other)]
-    if min(_structure_by_noise(values, valid & ~specks) for values in filled) < SPECKS.structured:
+    filled = [_filled(values, specks, parameters) for values in (one, other)]
+    if (
+        min(_structure_by_noise(values, valid & ~specks, parameters) for values in filled)
+        < parameters.specks.structured
+    ):
         return None
-    return _share_at_identity(filled[0], filled[1], valid & ~specks, window)
+    return _share_at_identity(filled[0], filled[1], valid & ~specks, window, parameters)
 
 
-def _specks(one: Float32, other: Float32, valid: Bool) -> Bool:
+def _specks(one: Float32, other: Float32, valid: Bool, parameters: FrameParameters) -> Bool:
     """Return the pixels of small specks that are much brighter, or much darker, in both images."""
-    first, second = (_outlying(values, valid) for values in (one, other))
-    alike = (np.minimum(first, second) > SPECKS.outlying) | (np.maximum(first, second) < -SPECKS.outlying)
-    kernel = np.ones((2 * SPECKS.grow_px + 1,) * 2)
-    grown = cv2.dilate((alike & valid).astype(np.uint8), kernel)
+    first, second = (_outlying(values, valid, parameters) for values in (one, other))
+    outliers = (np.minimum(first, second) > parameters.specks.outlying) | (
+        np.maximum(first, second) < -parameters.specks.outlying
+    )
+    kernel = np.ones((2 * parameters.specks.grow_px + 1,) * 2)
+    grown = cv2.dilate((outliers & valid).astype(np.uint8), kernel)
     _, labels, boxes, _ = cv2.connectedComponentsWithStats(grown)
-    small = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= SPECKS.largest_px
+    small = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= parameters.specks.largest_px
     return np.asarray(small[labels] & (labels > 0))
 
 
-def _outlying(values: Float32, valid: Bool) -> Float32:
+def _outlying(values: Float32, valid: Bool, parameters: FrameParameters) -> Float32:
     """Return the deviations of pixels from their surroundings, robust sigmas."""
-    away = cv2.GaussianBlur(values - cv2.GaussianBlur(values, (0, 0), SPECKS.surroundings_px), (0, 0), 1.0)
+    away = cv2.GaussianBlur(
+        values - cv2.GaussianBlur(values, (0, 0), parameters.specks.surroundings_px), (0, 0), 1.0
+    )
     middle = np.median(away[valid])
     sigma = 1.4826 * float(np.median(np.abs(away[valid] - middle)))
     return np.asarray((away - middle) / max(sigma, 1e-6), np.float32)
 
 
-def _filled(values: Float32, holes: Bool) -> Float32:
+def _filled(values: Float32, holes: Bool, parameters: FrameParameters) -> Float32:
     """Return values with holes filled smoothly from around them."""
-    filled, known = values.copy(), np.asarray(~holes)
-    weight = known.astype(np.float32)
-    for sigma_px in SPECKS.fill_px:
+    filled, filled_pixels = values.copy(), np.asarray(~holes)
+    weight = filled_pixels.astype(np.float32)
+    for sigma_px in parameters.specks.fill_px:
         around = cv2.GaussianBlur(values * weight, (0, 0), sigma_px)
         reached = cv2.GaussianBlur(weight, (0, 0), sigma_px)
-        new = ~known & np.asarray(reached > 0.05)
+        new = ~filled_pixels & np.asarray(reached > 0.05)
         filled[new] = around[new] / reached[new]
-        known |= new
+        filled_pixels |= new
     return filled
 
 
-def _structure_by_noise(values: Float32, valid: Bool) -> float:
+def _structure_by_noise(values: Float32, valid: Bool, parameters: FrameParameters) -> float:
     """Return the ratio of the structure to that of white noise as strong as the finest differences."""
     fine = values - cv2.blur(values, (3, 3))
-    inner, outer = PARAMETERS.smooth_px, 3 * PARAMETERS.smooth_px
+    inner, outer = parameters.smooth_px, 3 * parameters.smooth_px
     passed = (1 / inner**2 + 1 / outer**2 - 4 / (inner**2 + outer**2)) / (4 * np.pi)  # of its variance
-    structure, noise = (float(np.median(np.abs(each[valid]))) for each in (_band(values, inner), fine))
+    structure, noise = (float(np.median(np.abs(image[valid]))) for image in (_band(values, inner), fine))
     return float(structure / max(noise * np.sqrt(9 / 8 * passed), 1e-12))
 
 
-def _share_of_structured(at_none: Bool, *powers: Float32) -> float | None:
+def _share_of_structured(
+    at_none: Bool, powers: Sequence[Float32], parameters: FrameParameters
+) -> float | None:
     """Return the share of places that agree, of those with most structure in either image."""
-    known = np.logical_and.reduce([power > 0 for power in powers])
-    if np.count_nonzero(known) * PARAMETERS.structured < PARAMETERS.min_places:
+    positive = np.logical_and.reduce([power > 0 for power in powers])
+    if np.count_nonzero(positive) * parameters.structured < parameters.min_places:
         return None
-    relative = np.max([power[known] / np.median(power[known]) for power in powers], axis=0)
-    asked = relative >= np.quantile(relative, 1 - PARAMETERS.structured)
-    return float(at_none[known][asked].mean())
+    relative = np.max([power[positive] / np.median(power[positive]) for power in powers], axis=0)
+    selection = relative >= np.quantile(relative, 1 - parameters.structured)
+    return float(at_none[positive][selection].mean())
 
 
-def _rival(one: Float32, other: Float32, valid: Bool) -> tuple[float, float] | None:
+def _rival(
+    one: Float32, other: Float32, valid: Bool, parameters: FrameParameters
+) -> tuple[float, float] | None:
     """Return the displacement of ground that has moved, from the difference of both, if there is any.
 
     What stands still cancels in the difference. Ground that has moved by d is in it twice, with opposite
@@ -310,21 +336,23 @@ def _rival(one: Float32, other: Float32, valid: Bool) -> tuple[float, float] | N
     first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
     row, col = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(cols)
     radius = np.hypot(row, col)
-    used = (radius < 1 / PARAMETERS.finest_px) & (radius > 1 / PARAMETERS.coarsest_px)
-    used &= (np.abs(row) > 2 / rows) & (np.abs(col) > 2 / cols)  # rows and columns that stand out
-    crossed = np.conj(first) * second * used
+    band = (radius < 1 / parameters.finest_px) & (radius > 1 / parameters.coarsest_px)
+    band &= (np.abs(row) > 2 / rows) & (np.abs(col) > 2 / cols)  # rows and columns that stand out
+    crossed = np.conj(first) * second * band
     correlation = crossed.real.sum() / max(
-        np.linalg.norm(first * used) * np.linalg.norm(second * used), 1e-12
+        np.linalg.norm(first * band) * np.linalg.norm(second * band), 1e-12
     )
-    if abs(correlation) > PARAMETERS.same_correlation:
+    if abs(correlation) > parameters.same_correlation:
         return None
     sign = 1.0 if correlation >= 0 else -1.0
-    peaks = _cepstrum(first - sign * second, used)
-    far = np.maximum(np.abs(row * rows), np.abs(col * cols)) >= PARAMETERS.rival_min_px
-    at = np.unravel_index(np.argmax(np.where(far, peaks, 0)), peaks.shape)
-    cepstra = peaks, _cepstrum(first, used), _cepstrum(second, used)
-    depth, *own = (float(each[at] / (1.4826 * np.median(np.abs(each[far])))) for each in cepstra)
-    if depth < max(PARAMETERS.rival_z, PARAMETERS.rival_ratio * max(own)):
+    peaks = _cepstrum(first - sign * second, band)
+    distant = np.maximum(np.abs(row * rows), np.abs(col * cols)) >= parameters.rival_min_px
+    at = np.unravel_index(np.argmax(np.where(distant, peaks, 0)), peaks.shape)
+    cepstra = peaks, _cepstrum(first, band), _cepstrum(second, band)
+    depth, *own_depths = (
+        float(cepstrum[at] / (1.4826 * np.median(np.abs(cepstrum[distant])))) for cepstrum in cepstra
+    )
+    if depth < max(parameters.rival_z, parameters.rival_ratio * max(own_depths)):
         return None
     phase = np.fft.ifft2(sign * crossed / (np.abs(crossed) + 1e-12)).real
     both = [(int(at[0]), int(at[1])), (-int(at[0]) % rows, -int(at[1]) % cols)]
@@ -350,8 +378,8 @@ def _flattened(values: Float32, valid: Bool) -> Float64:
     return np.asarray(np.clip(flat / max(float(flat.std()), 1e-12), -4, 4), np.float64)
 
 
-def _cepstrum(spectrum: NDArray[np.complex128], used: Bool) -> Float64:
-    """Return the (rows, cols) cepstrum of a spectrum in the frequencies that are `used`, its sign turned."""
+def _cepstrum(spectrum: NDArray[np.complex128], band: Bool) -> Float64:
+    """Return the (rows, cols) cepstrum of a spectrum in the frequencies that are `band`, its sign turned."""
     power = np.abs(spectrum) ** 2
     log = np.log(power + 1e-9 * power.max() + 1e-300)
-    return np.asarray(-np.fft.ifft2(np.where(used, log - log[used].mean(), 0)).real)
+    return np.asarray(-np.fft.ifft2(np.where(band, log - log[band].mean(), 0)).real)

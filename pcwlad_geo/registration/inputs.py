@@ -31,13 +31,10 @@ from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.registration.rpc import place_reference, place_target
 from pcwlad_geo.types import PathLike
 
-ONE_TILE: Final = 1.3
-"""Largest side, in tile sizes, of a scene that is matched as one tile."""
 
-
-def tiles_along(length_px: int, tile_size: int) -> int:
-    """Return the number of about equal tiles, of at most `ONE_TILE` × `tile_size`, along `length_px`."""
-    return 1 if length_px <= ONE_TILE * tile_size else math.ceil(length_px / tile_size)
+def tiles_along(length_px: int, tile_size: int, single: float = 1.3) -> int:
+    """Return the number of about equal tiles along `length_px`; one up to `single` times `tile_size`."""
+    return 1 if length_px <= single * tile_size else math.ceil(length_px / tile_size)
 
 
 def estimate_tile_count(
@@ -96,15 +93,15 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
     tgt = _side(target, "tgt", settings)
     notes = ref.notes + tgt.notes + KINDS.problems()
     product = tgt.product if all_bands else None
-    found = product.others(product.band(settings.tgt_band)) if product else ()
-    others = tuple(band for band in found if band.uri != ref.file)
-    if len(others) < len(found):
+    candidates = product.others(product.band(settings.tgt_band)) if product else ()
+    other_bands = tuple(band for band in candidates if band.uri != ref.file)
+    if len(other_bands) < len(candidates):
         notes += (
             f"reference and target are of the same product {os.fspath(target)}: the correction is applied to "
             "all its bands but the reference; it holds for those that lie as the target does",
         )
     settings = replace(settings, **ref.changes, **tgt.changes)
-    return Inputs(ref.uri, tgt.uri, ref.bands, tgt.bands, settings, notes, others)
+    return Inputs(ref.uri, tgt.uri, ref.bands, tgt.bands, settings, notes, other_bands)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,10 +118,12 @@ def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
 
     Inputs without an identity are left out: databases, object stores, names of PROJ's own grids.
     """
-    named = {name: getattr(inputs.settings, name) for name in FILE_OPTIONS}
+    option_files = {name: getattr(inputs.settings, name) for name in FILE_OPTIONS}
     read = [("reference", path) for path in _files(inputs.reference, inputs.ref_bands)]
     read += [("target", path) for path in _files(inputs.target, inputs.tgt_bands)]
-    read += [(name, os.fspath(file)) for name, file in named.items() if isinstance(file, str | os.PathLike)]
+    read += [
+        (name, os.fspath(file)) for name, file in option_files.items() if isinstance(file, str | os.PathLike)
+    ]
     read += [("band", band.uri) for band in inputs.other_bands]
     return tuple(
         InputFile(role, identity)
@@ -157,7 +156,7 @@ class _Side:
 
 def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
     name = settings.ref_band if side == "ref" else settings.tgt_band
-    given = settings.ref_mask if side == "ref" else settings.tgt_mask
+    user_mask = settings.ref_mask if side == "ref" else settings.tgt_mask
     product = find_product(path)
     if product is None:
         bands = Bands.of_file(os.fspath(path), name)
@@ -166,16 +165,15 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
             raise InputError(problem or f"band {name} of {path} is no number")
         return _Side(os.fspath(path), os.fspath(path), bands, {})
     names = name.removeprefix("pca:").split(",") if isinstance(name, str) else [name]
-    found = [product.band(each) for each in names]
-    parts = tuple(BandPart(band.opened_as(), 1) for band in found)
+    bands_of_product = [product.band(band_name) for band_name in names]
+    parts = tuple(BandPart(band.opened_as(), 1) for band in bands_of_product)
     bands = Bands(parts, principal=str(name).startswith("pca:"))
-    changes = {f"{side}_band": name if len(found) > 1 else 1, f"{side}_mask": given or product.mask}
-    notes = product.notes(given is not None)
-    return _Side(bands.parts[0].path, found[0].uri, bands, changes, notes, product)
-
-
-MAX_OFF = 1.0
-"""Largest distance of a target from the position of its georeferencing, as a share of its size."""
+    changes = {
+        f"{side}_band": name if len(bands_of_product) > 1 else 1,
+        f"{side}_mask": user_mask or product.mask,
+    }
+    notes = product.notes(user_mask is not None)
+    return _Side(bands.parts[0].path, bands_of_product[0].uri, bands, changes, notes, product)
 
 
 def grid_request(
@@ -196,12 +194,12 @@ def grid_request(
             crs = CRS.from_user_input(t_srs)
         except LIBRARY_ERRORS as error:
             raise SettingsError(f"t_srs = {t_srs!r}: give a CRS such as EPSG:32633 ({error})") from error
-    found = None if like is None else describe(os.fspath(like))
-    if found is not None and not found.georeferenced:
+    lattice = None if like is None else describe(os.fspath(like))
+    if lattice is not None and not lattice.georeferenced:
         raise InputError(
-            f"{found.uri} has no georeferencing (CRS and geotransform): --like needs a raster with"
+            f"{lattice.uri} has no georeferencing (CRS and geotransform): --like needs a raster with"
         )
-    return GridRequest(mode, found.grid if found else None, tr, te, crs)
+    return GridRequest(mode, lattice.grid if lattice else None, tr, te, crs)
 
 
 def requested_grid(settings: Settings) -> GridRequest:
@@ -238,9 +236,9 @@ def _as_placed(
     """Return both rasters as the job places them: by RPCs that are used, or in one plane."""
     reference_by_rpc, _ = place_reference(reference, target, settings)
     reference = reference_by_rpc.info if reference_by_rpc else reference
-    placed, _ = place_target(reference, target, settings)
-    if placed or reference_by_rpc:
-        return reference, placed.info if placed else target
+    placement, _ = place_target(reference, target, settings)
+    if placement or reference_by_rpc:
+        return reference, placement.info if placement else target
     return share_plane(reference, target)[:2]
 
 
@@ -266,18 +264,18 @@ def check_placed(request: GridRequest, georeferenced: Mapping[str, bool], refere
         )
 
 
-def check_near(request: GridRequest, reference: Grid, target: Grid) -> None:
+def check_near(request: GridRequest, reference: Grid, target: Grid, tolerance: float = 1.0) -> None:
     """Raise an error if the grid of `request` lies far from the position of `target` by its georeferencing.
 
-    Raises `InputError` if the distance is more than `MAX_OFF` times the size of the target. `reference` gives
-    the alignment.
+    Raises `InputError` if the distance is more than `tolerance` times the size of the target. `reference`
+    gives the alignment.
     """
     grid, place = request.fixed(reference), output_lattice(reference, request)
     if grid is None and request.extent is not None:
         x_min, y_min, x_max, y_max = request.extent
         corners_px = place.to_px(np.array([[x_min, y_max], [x_max, y_min]]))
-        (left, top), (right, bottom) = corners_px.tolist()
-        one = ((right - left, 0.0), (0.0, bottom - top))
-        grid = place.resampled_grid(one, (left, top), (1, 1))
+        (west, north), (east, south) = corners_px.tolist()
+        one = ((east - west, 0.0), (0.0, south - north))
+        grid = place.resampled_grid(one, (west, north), (1, 1))
     if grid is not None:
-        check_covered(grid, target.to_xy(target.boundary_px()), target.crs, tolerance=MAX_OFF)
+        check_covered(grid, target.to_xy(target.boundary_px()), target.crs, tolerance=tolerance)

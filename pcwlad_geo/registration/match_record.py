@@ -18,7 +18,7 @@ from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.source import has_quick_overview
-from pcwlad_geo.registration.planning import MIN_TEXTURE, texture_of
+from pcwlad_geo.registration.planning import PlanParameters, texture_of
 from pcwlad_geo.registration.prealign import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.types import Bool, Float64
@@ -32,6 +32,8 @@ pixels without data within a window around it."""
 class RecordParameters:
     """Numbers of the record of a matching."""
 
+    plan: PlanParameters = field(default_factory=PlanParameters)
+    """Those of the plan."""
     bare_texture: float = 0.2
     """Contrast weight of a band below which a place shows no structure: 0.09 of water with noise, 0.9 of
     land."""
@@ -97,7 +99,7 @@ def record_matching(
         texture_of(patch, scene.epsilon) for patch, scene in zip(patches, overviews.scenes, strict=True)
     ]
     contents = [
-        _Content(patch.valid, texture >= MIN_TEXTURE, texture >= parameters.bare_texture)
+        _Content(patch.valid, texture >= parameters.plan.least_texture, texture >= parameters.bare_texture)
         for patch, texture in zip(patches, textures, strict=True)
     ]
     ground = _ground(

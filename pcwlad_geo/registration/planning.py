@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
 
 import cv2
 import numpy as np
@@ -29,70 +28,97 @@ from pcwlad_geo.registration.prealign import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.types import Float32, Float64, Index
 
-CANDIDATES_PER_WINDOW: Final = 20
-"""Number of candidates at which a small window aims."""
-CELLS_ACROSS: Final = 2
-"""Number of cells of candidates across a small window."""
-MIN_CORE_PX: Final = 80
-"""Least side of the core of a small window."""
-MIN_VALID: Final = 0.75
-"""Least share of a window, including the margin for the matching, that must be valid in both bands, or in
-narrow gaps."""
-MIN_TEXTURE: Final = 0.05
-"""Least share of a window that must have more than faint contrast in both bands."""
-CENTRE_PREFERENCE: Final = 0.3
-"""Share of its score that a window in the corner of its place loses, so that the points are well spread."""
+
+@dataclass(frozen=True, slots=True)
+class PlanParameters:
+    """Numbers of the plan of a matching."""
+
+    window_candidates: int = 20
+    """Number of candidates at which a small window aims."""
+    cells_across: int = 2
+    """Number of cells of candidates across a small window."""
+    least_core_px: int = 80
+    """Least side of the core of a small window."""
+    least_valid: float = 0.75
+    """Least share of a window, including the margin for the matching, that must be valid in both bands, or
+    in narrow gaps."""
+    least_texture: float = 0.05
+    """Least share of a window that must have more than faint contrast in both bands."""
+    centre_preference: float = 0.3
+    """Share of its score that a window in the corner of its place loses, so that the points are well
+    spread."""
+    feature_area_px: int = 1024
+    """Side of the square over which `features` candidates are spread, or the scene if that is smaller."""
+    point_candidates: float = 1.25
+    """Number of candidates for each tie point wanted."""
+    poor_share: float = 1 / 3
+    """A small window in which a smaller share of the candidates agrees is followed by another."""
+    enough_share: float = 0.95
+    """Share of the tie points wanted that is enough to end the matching."""
+    all_points_tile_px: int = 640
+    """Largest side of a tile where all points are matched, which keeps two processes below 1 GB of
+    memory."""
 
 
-def lattice_shape(region: Window, candidates: int) -> tuple[int, int]:
+def lattice_shape(
+    region: Window, candidates: int, parameters: PlanParameters = PlanParameters()
+) -> tuple[int, int]:
     """Return the numbers of rows and columns of places into which `region` is divided for `candidates`."""
-    count = max(64, round(candidates / CANDIDATES_PER_WINDOW))
+    count = max(64, round(candidates / parameters.window_candidates))
     rows = max(1, round(np.sqrt(count * region.rows / region.cols)))
     return rows, int(np.ceil(count / rows))
 
 
-def lattice_places(region: Window, candidates: int) -> list[Window]:
+def lattice_places(
+    region: Window, candidates: int, parameters: PlanParameters = PlanParameters()
+) -> list[Window]:
     """Return the places into which `region` is divided for so many `candidates`, row by row."""
-    shape = lattice_shape(region, candidates)
+    shape = lattice_shape(region, candidates, parameters=parameters)
     return [_place(region, shape, row, col) for row in range(shape[0]) for col in range(shape[1])]
 
 
-def small_window(base: TileJob, candidates: int, wanted: int) -> TileJob:
+def small_window(
+    base: TileJob, candidates: int, wanted: int, parameters: PlanParameters = PlanParameters()
+) -> TileJob:
     """Return a small window in the corner of the region whose core consists of whole cells of candidates.
 
     All windows have so many `candidates` together, of which tie points are `wanted`: those beyond that
     replace others that fail.
     """
-    rows, cols = lattice_shape(base.region, candidates)
+    rows, cols = lattice_shape(base.region, candidates, parameters=parameters)
     around = replace(base, core=Window(0, 0, 0, 0)).read_window.rows
-    cell = (fast_even(around + MIN_CORE_PX) - around) // CELLS_ACROSS
-    cells = rows * cols * CELLS_ACROSS**2
+    cell = (fast_even(around + parameters.least_core_px) - around) // parameters.cells_across
+    cells = rows * cols * parameters.cells_across**2
     per_cell = int(np.ceil(candidates / cells))
     settings = replace(
         base.settings,
-        features=per_cell * CELLS_ACROSS**2,
+        features=per_cell * parameters.cells_across**2,
         per_cell=per_cell,
         spare=max(0, per_cell - int(np.ceil(wanted / cells))),
-        features_area_px2=float((CELLS_ACROSS * cell) ** 2),
+        features_area_px2=float((parameters.cells_across * cell) ** 2),
     )
-    core = Window(base.region.row, base.region.col, CELLS_ACROSS * cell, CELLS_ACROSS * cell)
+    core = Window(
+        base.region.row, base.region.col, parameters.cells_across * cell, parameters.cells_across * cell
+    )
     return replace(base, settings=settings, core=core)
 
 
-def find_sites(window: TileJob, overviews: Overviews, candidates: int) -> tuple[tuple[TileJob, ...], ...]:
+def find_sites(
+    window: TileJob, overviews: Overviews, candidates: int, parameters: PlanParameters = PlanParameters()
+) -> tuple[tuple[TileJob, ...], ...]:
     """Return, for every place of the lattice, the windows that show structure, best first.
 
     The window is one of `small_window`; all first windows have so many `candidates` together.
     """
     region = window.region
     texture, valid = _merged(window, overviews)
-    step = window.core.rows // CELLS_ACROSS
+    step = window.core.rows // parameters.cells_across
     sites: list[tuple[TileJob, ...]] = []
     count = 0
-    for place in lattice_places(region, candidates):
-        chosen = _best_windows(place, window, step, texture, valid, overviews.factor)
-        sites.append(tuple(replace(window, id=count + k, core=core) for k, core in enumerate(chosen)))
-        count += len(chosen)
+    for place in lattice_places(region, candidates, parameters=parameters):
+        windows = _best_windows(place, window, step, texture, valid, overviews.factor, parameters)
+        sites.append(tuple(replace(window, id=count + k, core=core) for k, core in enumerate(windows)))
+        count += len(windows)
     return tuple(sites)
 
 
@@ -110,7 +136,13 @@ def _place(region: Window, shape: tuple[int, int], row: int, col: int) -> Window
 
 
 def _best_windows(
-    place: Window, window: TileJob, step: int, texture: Float64, valid: Float64, factor: float
+    place: Window,
+    window: TileJob,
+    step: int,
+    texture: Float64,
+    valid: Float64,
+    factor: float,
+    parameters: PlanParameters,
 ) -> list[Window]:
     """Return the windows of a place in the order of their score; they do not share pixels."""
     side, region = window.core.rows, window.region
@@ -123,16 +155,16 @@ def _best_windows(
     off_centre = np.abs((middle - [place.row, place.col]) / place.shape - 0.5).max(axis=1) * 2
     valid_share = _mean_in(valid, corners - reach, side + 2 * reach, factor)
     score = _mean_in(texture, corners, side, factor)
-    good = (valid_share >= MIN_VALID) & (score >= MIN_TEXTURE)
-    score = score * valid_share * (1 - CENTRE_PREFERENCE * off_centre)
-    chosen: list[int] = []
+    good = (valid_share >= parameters.least_valid) & (score >= parameters.least_texture)
+    score = score * valid_share * (1 - parameters.centre_preference * off_centre)
+    selection: list[int] = []
     for index in np.argsort(-np.where(good, score, -np.inf), kind="stable"):
-        separate = all(np.abs(corners[index] - corners[other]).max() >= side for other in chosen)
+        separate = all(np.abs(corners[index] - corners[other]).max() >= side for other in selection)
         if good[index] and separate:
-            chosen.append(int(index))
-        if len(chosen) == 4:  # the first choice and those that may follow it
+            selection.append(int(index))
+        if len(selection) == 4:  # the first choice and those that may follow it
             break
-    return [Window(int(corners[k, 0]), int(corners[k, 1]), side, side) for k in chosen]
+    return [Window(int(corners[k, 0]), int(corners[k, 1]), side, side) for k in selection]
 
 
 def _starts(begin: int, length: int, side: int, step: int) -> Index:
@@ -190,16 +222,6 @@ def _mean_in(integral: Float64, corners_rc: Index, side: int, factor: float) -> 
     return np.asarray(total / area)
 
 
-FEATURE_AREA_PX: Final = 1024
-"""Side of the square over which `features` candidates are spread, or the scene if that is smaller."""
-CANDIDATES_PER_POINT: Final = 1.25
-"""Number of candidates for each tie point wanted."""
-POOR_SHARE: Final = 1 / 3
-"""A small window in which a smaller share of the candidates agrees is followed by another."""
-ENOUGH_SHARE: Final = 0.95
-"""Share of the tie points wanted that is enough to end the matching."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """The tiles to match first, and the windows that may follow."""
@@ -211,6 +233,7 @@ class Plan:
     """Small windows: one tuple for each place of the lattice, the best window first."""
     without_structure: tuple[Window, ...] = ()
     """Places of the lattice that show no structure, so that they have no window."""
+    parameters: PlanParameters = PlanParameters()
 
     def following(self, results: Sequence[TileResult]) -> list[TileJob]:
         """Return the windows to match next, given all results so far.
@@ -227,11 +250,11 @@ class Plan:
         for site in self.sites:
             upcoming = [job for job in site if job.id not in gave]
             most = max((gave[job.id] for job in site if job.id in gave), default=0)
-            if upcoming and most < POOR_SHARE * upcoming[0].settings.candidates:
+            if upcoming and most < self.parameters.poor_share * upcoming[0].settings.candidates:
                 poor.append(upcoming[0])
             elif upcoming:
                 rich.append((most, upcoming[0]))
-        missing = ENOUGH_SHARE * self.wanted - sum(gave.values())
+        missing = self.parameters.enough_share * self.wanted - sum(gave.values())
         windows = max(0, int(np.ceil(missing / np.median(good))) - len(poor))
         rich.sort(key=lambda entry: (-entry[0], entry[1].id))
         return poor + [job for _, job in rich[:windows]]
@@ -239,14 +262,10 @@ class Plan:
 
 def agreeing(result: TileResult) -> int:
     """Return the number of points of a small window whose displacements agree."""
-    moved = result.points.displacement_px
-    if len(moved) == 0:
+    displacement_px = result.points.displacement_px
+    if len(displacement_px) == 0:
         return 0
-    return int((np.linalg.norm(moved - np.median(moved, axis=0), axis=1) < 1.0).sum())
-
-
-ALL_POINTS_TILE_PX: Final = 640
-"""Largest side of a tile where all points are matched, which keeps two processes below 1 GB of memory."""
+    return int((np.linalg.norm(displacement_px - np.median(displacement_px, axis=0), axis=1) < 1.0).sum())
 
 
 def plan(
@@ -255,6 +274,7 @@ def plan(
     target_offset_px: tuple[int, int],
     matching: MatchSettings,
     settings: Settings,
+    parameters: PlanParameters = PlanParameters(),
 ) -> Plan:
     """Decide which windows of the overlap are matched.
 
@@ -275,24 +295,24 @@ def plan(
         0, pair.reference, pair.target, region, region, target_offset_px, *overviews.scenes, matching
     )
     wanted = 1000 if settings.points is None else settings.points
-    candidates = CANDIDATES_PER_POINT * wanted if isinstance(wanted, int) else np.inf
-    densest = settings.candidates / min(area, FEATURE_AREA_PX**2)
+    candidates = parameters.point_candidates * wanted if isinstance(wanted, int) else np.inf
+    densest = settings.candidates / min(area, parameters.feature_area_px**2)
     if wanted == "dense":
         base = replace(base, settings=replace(matching, per_cell=1))
         densest = (4 / matching.window) ** 2  # four along the side of a window
     if one_tile:
         return Plan(_cover(base, densest, settings.tile_size))
     if candidates >= densest * area:
-        return Plan(_cover(base, densest, min(settings.tile_size, ALL_POINTS_TILE_PX)))
+        return Plan(_cover(base, densest, min(settings.tile_size, parameters.all_points_tile_px)))
     tiles = _cover(base, candidates / area, settings.tile_size)
-    window = small_window(base, round(candidates), int(wanted))
-    count = int(np.prod(lattice_shape(region, round(candidates))))
+    window = small_window(base, round(candidates), int(wanted), parameters=parameters)
+    count = int(np.prod(lattice_shape(region, round(candidates), parameters=parameters)))
     if count * window.read_window.area_px2 >= sum(job.read_window.area_px2 for job in tiles):
         return Plan(tiles)
-    sites = find_sites(window, overviews, round(candidates))
-    places = lattice_places(region, round(candidates))
+    sites = find_sites(window, overviews, round(candidates), parameters=parameters)
+    places = lattice_places(region, round(candidates), parameters=parameters)
     without_structure = tuple(place for place, site in zip(places, sites, strict=True) if not site)
-    return Plan([site[0] for site in sites if site], int(wanted), sites, without_structure)
+    return Plan([site[0] for site in sites if site], int(wanted), sites, without_structure, parameters)
 
 
 def common_region(pair: ViewPair, target_offset_px: tuple[int, int]) -> Window:

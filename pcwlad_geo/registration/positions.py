@@ -63,8 +63,8 @@ def position_conflict(
     if apart_m is None or reference_m is None or target_m is None or len(reference_px) < 3:
         return None
     middles = [np.array(frame.grid.shape[::-1]) / 2 for frame in (reference, target)]
-    moved = affine_between(reference_px, target_px) @ [*middles[0], 1.0] - middles[1]
-    share = float(np.hypot(*moved)) / math.hypot(*target.grid.shape)
+    offset_px = affine_between(reference_px, target_px) @ [*middles[0], 1.0] - middles[1]
+    share = float(np.hypot(*offset_px)) / math.hypot(*target.grid.shape)
     found_m, tolerance_m = share * target_m, parameters.error_m + parameters.share * target_m
     exact = all(camera is not None and camera.height_m for camera in cameras)
     separate = apart_m > (reference_m + target_m) / 2 + parameters.error_m

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rasterio.crs import CRS
@@ -36,10 +36,21 @@ from pcwlad_geo.types import Float64
 if TYPE_CHECKING:  # slow to load; workers are started before
     from pcwlad_geo.registration.prealign import Prealignment
 
-MAX_BIAS_M: Final = 500.0
-"""Largest error of an RPC on the ground; no sensor errs by more, so beyond it the RPC is of another image."""
-PARALLAX_RATIO: Final = 2.0
-"""Residuals so many times as large along the parallax as across it come from the DEM."""
+
+@dataclass(frozen=True, slots=True)
+class RpcParameters:
+    """Numbers by which RPCs and their corrections are checked."""
+
+    most_bias_m: float = 500.0
+    """Largest error of an RPC on the ground; no sensor errs by more, so beyond it the RPC is of another
+    image."""
+    parallax_ratio: float = 2.0
+    """Residuals so many times as large along the parallax as across it come from the DEM."""
+    most_parallax: float = 0.03
+    """Largest parallax of siblings, metres on the ground per metre of height; 1.7 degrees, which the focal
+    planes of one telescope do not reach."""
+    most_misfit_px: float = 0.05
+    """Largest misfit of an affine transformation to the correction carried over to a sibling."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +101,11 @@ def place_reference(
     # without a DEM both are placed on the same ground, at the height offset of the target's RPC
     height_m = None if other is None else other.rpc.height_off
     how: dict[str, Any] = {"side": "reference", "height_m": height_m, "trusted": settings.trust_rpc}
-    placed = _placed(reference, source, settings.dem, settings.dem_vertical, **how)
-    grid = _rpc_grid(placed.info)
+    placement = _placed(reference, source, settings.dem, settings.dem_vertical, **how)
+    grid = _rpc_grid(placement.info)
     crs = (target.grid.crs if other is None else None) or ground_crs(grid)
-    info = replace(placed.info, grid=replace(grid, crs=crs))
-    return replace(placed, info=info), placed.warnings
+    info = replace(placement.info, grid=replace(grid, crs=crs))
+    return replace(placement, info=info), placement.warnings
 
 
 def ground_crs(grid: RpcGrid) -> CRS:
@@ -114,8 +125,8 @@ def place_target(
     `InputError` if the RPC or the DEM cannot be used, or are asked for and missing, and `SettingsError` if
     the output grid or the correction model cannot be combined with an RPC.
     """
-    wanted = settings.dem is not None or settings.model == "rpc"
-    if target.georeferenced and not wanted:
+    is_wanted = settings.dem is not None or settings.model == "rpc"
+    if target.georeferenced and not is_wanted:
         return None, _unused_rpc(
             f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",
             target.uri,
@@ -123,14 +134,14 @@ def place_target(
     source = read_rpc(target.uri)
     if source is None:
         for_reference = isinstance(reference.grid, RpcGrid) and settings.model != "rpc"
-        if wanted and not for_reference:
+        if is_wanted and not for_reference:
             raise InputError(
                 f"{target.uri} has no RPC (tag, .RPB or _RPC.TXT beside it), which --dem and --model rpc are "
                 "for: give the image with its RPC, or leave these options out"
             )
         return None, ()
     if not reference.georeferenced:
-        if wanted:
+        if is_wanted:
             raise InputError(
                 f"{reference.uri} has no georeferencing (CRS and geotransform): the RPC of {target.uri} "
                 "needs a reference that has"
@@ -141,8 +152,8 @@ def place_target(
             "grid = 'target': the pixels of a target with RPC are no grid on the ground; give 'reference'"
         )
     check_model(settings.model)
-    placed = _placed(target, source, settings.dem, settings.dem_vertical, trusted=settings.trust_rpc)
-    return placed, placed.warnings
+    placement = _placed(target, source, settings.dem, settings.dem_vertical, trusted=settings.trust_rpc)
+    return placement, placement.warnings
 
 
 def check_model(model: str) -> None:
@@ -177,11 +188,15 @@ def _unused_rpc(warning: str, uri: str) -> tuple[str, ...]:
 
 
 def check_start(
-    placed: RpcPlacement, prealignment: Prealignment, matching_grid: Grid, settings: Settings
+    placement: RpcPlacement,
+    prealignment: Prealignment,
+    matching_grid: Grid,
+    settings: Settings,
+    parameters: RpcParameters = RpcParameters(),
 ) -> None:
     """Raise an error if `prealignment` is so far from the position by RPC that the RPC must be another's.
 
-    `placed` is the image, `matching_grid` has the pixels of the pre-alignment. Raises `InputError` if the
+    `placement` is the image, `matching_grid` has the pixels of the pre-alignment. Raises `InputError` if the
     distance is more than `MAX_BIAS_M`, unless `settings` say that the user asked for a search or trusts the
     RPC.
     """
@@ -190,10 +205,10 @@ def check_start(
     if prealignment.method != "search" or trusted or px_m is None:
         return
     off_m = np.array(prealignment.shift_px) * px_m
-    if np.hypot(*off_m) > MAX_BIAS_M:
+    if np.hypot(*off_m) > parameters.most_bias_m:
         raise InputError(
-            f"{placed.info.uri} was found {np.hypot(*off_m):.0f} m from where the RPC in "
-            f"{placed.source.origin} puts it: it is the RPC of another image or of the one that this was "
+            f"{placement.info.uri} was found {np.hypot(*off_m):.0f} m from where the RPC in "
+            f"{placement.source.origin} puts it: it is the RPC of another image or of the one that this was "
             "cropped from; give the RPC of the image as it is (gdal_translate -srcwin adapts it), or give "
             "--trust-rpc to correct it by a shift all the same"
         )
@@ -206,24 +221,24 @@ def shifted(target: RasterInfo, shift_px: Float64) -> RasterInfo:
     return replace(target, grid=replace(grid, rpc=apply_bias(grid.rpc, correction)))
 
 
-def corrected_rpc(placed: RpcPlacement, correction: Correction | None) -> RpcRegistration:
-    """Apply `correction` to the RPC of the target `placed`.
+def corrected_rpc(placement: RpcPlacement, correction: Correction | None) -> RpcRegistration:
+    """Apply `correction` to the RPC of the target `placement`.
 
     Raises `InputError` if the corrected RPC cannot reproduce the correction to 1e-3 px, and `TypeError` if
     the correction is not at most affine.
     """
-    source, grid = placed.source, _rpc_grid(placed.info)
+    source, grid = placement.source, _rpc_grid(placement.info)
     if correction is None:
-        return RpcRegistration(source.origin, grid, None, None, placed.heights_m)
+        return RpcRegistration(source.origin, grid, None, None, placement.heights_m)
     if not isinstance(correction, AffineCorrection):
         raise TypeError(f"{correction!r} cannot be folded into an RPC")
-    what = f"the {correction.name} correction of {placed.info.uri}"
-    return _folded(placed, correction, what, "give --model shift")
+    what = f"the {correction.name} correction of {placement.info.uri}"
+    return _folded(placement, correction, what, "give --model shift")
 
 
-def _folded(placed: RpcPlacement, correction: AffineCorrection, what: str, advice: str) -> RpcRegistration:
+def _folded(placement: RpcPlacement, correction: AffineCorrection, what: str, advice: str) -> RpcRegistration:
     """Return the RPC of an image with a correction, `what` in messages; raise where that does not fit."""
-    source, grid, heights_m = placed.source, _rpc_grid(placed.info), placed.heights_m
+    source, grid, heights_m = placement.source, _rpc_grid(placement.info), placement.heights_m
     shape = grid.shape
     corrected = apply_bias(source.rpc, correction, covered_range(source.rpc, shape, heights_m))
     error_px = bias_error_px(source.rpc, corrected, correction, shape, heights_m)
@@ -232,7 +247,9 @@ def _folded(placed: RpcPlacement, correction: AffineCorrection, what: str, advic
     return RpcRegistration(source.origin, grid, replace(grid, rpc=corrected), error_px, heights_m)
 
 
-def height_errors(reference: Grid, target: Grid, points: TiePointTable) -> str | None:
+def height_errors(
+    reference: Grid, target: Grid, points: TiePointTable, parameters: RpcParameters = RpcParameters()
+) -> str | None:
     """Return that residuals run along the parallax, as errors of the DEM make them; None where they do not.
 
     The `points` are those that agree, with the residuals of a correction.
@@ -240,15 +257,15 @@ def height_errors(reference: Grid, target: Grid, points: TiePointTable) -> str |
     if not (isinstance(target, RpcGrid) and isinstance(target.heights, Dem)):
         return None
     grids = [(with_height_offset(reference, m), with_height_offset(target, m)) for m in (0.5, -0.5)]
-    up, down = (map_px(points.reference_px, *each) for each in grids)
+    up, down = (map_px(points.reference_px, *grid_pair) for grid_pair in grids)
     rate_px = np.nanmedian(up - down, axis=0)  # by a metre of height
     size_px = float(np.hypot(*rate_px))
     residual_px = points.residual_px - np.median(points.residual_px, axis=0)
-    if not size_px > MAX_PARALLAX / 10:
+    if not size_px > parameters.most_parallax / 10:
         return None
     turned = residual_px @ np.array([rate_px, [-rate_px[1], rate_px[0]]]).T / size_px
     along, across = np.percentile(np.abs(turned), 90, axis=0).tolist()
-    if along < PARALLAX_RATIO * across:
+    if along < parameters.parallax_ratio * across:
         return None
     return (
         f"the residuals run along the parallax of height: a tenth of them are over {along:.1f} px along it, "
@@ -261,13 +278,6 @@ def _rpc_grid(target: RasterInfo) -> RpcGrid:
     if not isinstance(target.grid, RpcGrid):
         raise TypeError(f"{target.uri} is not placed by an RPC")
     return target.grid
-
-
-MAX_PARALLAX: Final = 0.03
-"""Largest parallax of siblings, metres on the ground per metre of height; 1.7 degrees, which the focal planes
-of one telescope do not reach."""
-MAX_MISFIT_PX: Final = 0.05
-"""Largest misfit of an affine transformation to the correction carried over to a sibling."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +296,9 @@ class CorrectedRpc:
     """Whether RPCs are used however far off they place an image."""
 
 
-def correct_other_image(uri: str, target: CorrectedRpc) -> tuple[RpcRegistration, tuple[str, ...]]:
+def correct_other_image(
+    uri: str, target: CorrectedRpc, parameters: RpcParameters = RpcParameters()
+) -> tuple[RpcRegistration, tuple[str, ...]]:
     """Apply the correction of the RPC of `target` to that of the image `uri`; also return warnings.
 
     An image without georeferencing that has the target's size has its RPC too. Raises `InputError` if the
@@ -295,31 +307,31 @@ def correct_other_image(uri: str, target: CorrectedRpc) -> tuple[RpcRegistration
     info = describe(uri)
     source = _rpc_of(info, target)
     how: dict[str, Any] = {"height_m": target.height_m, "trusted": target.trusted}
-    placed = _placed(info, source, target.dem, target.dem_vertical, **how)
-    warnings = placed.warnings if target.dem is not None else source.warnings
-    grid = _rpc_grid(placed.info)
+    placement = _placed(info, source, target.dem, target.dem_vertical, **how)
+    warnings = placement.warnings if target.dem is not None else source.warnings
+    grid = _rpc_grid(placement.info)
     if source.rpc == target.original and info.grid.shape == target.shape:
         same = RpcRegistration(
-            source.origin, grid, replace(grid, rpc=target.corrected), None, placed.heights_m
+            source.origin, grid, replace(grid, rpc=target.corrected), None, placement.heights_m
         )
         return same, warnings
-    separation_m = parallax(target.original, source.rpc, info.grid.shape, placed.heights_m)
-    if not separation_m <= MAX_PARALLAX:
+    separation_m = parallax(target.original, source.rpc, info.grid.shape, placement.heights_m)
+    if not separation_m <= parameters.most_parallax:
         raise InputError(
             f"{uri} was not taken from where the registered image was: a metre of height displaces the "
             f"ground {separation_m:.2f} m differently in the two, so that the errors of their RPCs differ; "
             "register it on its own"
         )
     correction, misfit_px = carried(
-        target.original, target.corrected, source.rpc, info.grid.shape, placed.heights_m
+        target.original, target.corrected, source.rpc, info.grid.shape, placement.heights_m
     )
-    if not misfit_px <= MAX_MISFIT_PX:
+    if not misfit_px <= parameters.most_misfit_px:
         raise InputError(
             f"the correction of the registered image cannot be carried over to {uri}: {misfit_px:.2g} px "
             "are left; register it on its own"
         )
     what = f"the correction carried over to {uri}"
-    return _folded(placed, correction, what, "register it on its own"), warnings
+    return _folded(placement, correction, what, "register it on its own"), warnings
 
 
 def _rpc_of(info: RasterInfo, target: CorrectedRpc) -> RpcSource:
@@ -328,9 +340,11 @@ def _rpc_of(info: RasterInfo, target: CorrectedRpc) -> RpcSource:
         return source
     rows, cols = target.shape
     if info.georeferenced or info.grid.shape != target.shape:
-        found = "a geotransform" if info.georeferenced else f"{info.grid.shape[1]} x {info.grid.shape[0]} px"
+        description = (
+            "a geotransform" if info.georeferenced else f"{info.grid.shape[1]} x {info.grid.shape[0]} px"
+        )
         raise InputError(
-            f"{info.uri} has no RPC (tag, .RPB or _RPC.TXT beside it) but {found}: give a band in the "
+            f"{info.uri} has no RPC (tag, .RPB or _RPC.TXT beside it) but {description}: give a band in the "
             f"sensor's geometry, with its RPC, or of the registered image's {cols} x {rows} px"
         )
     return RpcSource(target.original, "the registered image", ())

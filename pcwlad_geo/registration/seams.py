@@ -7,7 +7,6 @@ does the correction. Their residuals do not show that the ground does not.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -35,10 +34,6 @@ class SeamParameters:
     """Largest variance beside the step, as a share of that beside a quadratic map with as much freedom."""
     step_px: float = 0.7
     """Least step, target px: of smaller ones a tenth of the ground is off by less than 0.25 px."""
-
-
-PARAMETERS: Final = SeamParameters()
-"""Those that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,32 +73,34 @@ class Seam:
         )
 
 
-def seam_of(points: TiePointTable, footprint_px: float) -> Seam | None:
+def seam_of(
+    points: TiePointTable, footprint_px: float, parameters: SeamParameters = SeamParameters()
+) -> Seam | None:
     """Return the line at which the displacement of tie points steps; None if a smooth one tells as much.
 
     Of all lines that is taken beside which a step explains most. Points whose window of `footprint_px` lies
     across it are left out then: both sides must be affine, with one linear part, but for the step.
     """
-    if len(points) < PARAMETERS.least_points:
+    if len(points) < parameters.least_points:
         return None
     at_px, moved_px = points.predicted_px, points.target_px - points.predicted_px
-    normal, position_px = _best_line(at_px, moved_px)
+    normal, position_px = _best_line(at_px, moved_px, parameters)
     away_px = at_px @ normal - position_px
     clear = np.abs(away_px) > footprint_px / 2
     sides = [np.count_nonzero(clear & side) for side in (away_px > 0, away_px < 0)]
-    if min(sides) < PARAMETERS.least_share * len(points):
+    if min(sides) < parameters.least_share * len(points):
         return None
-    return _tested(at_px[clear], moved_px[clear], away_px[clear] > 0, normal, position_px)
+    return _tested(at_px[clear], moved_px[clear], away_px[clear] > 0, normal, position_px, parameters)
 
 
-def _best_line(at_px: Float64, moved_px: Float64) -> tuple[Float64, float]:
+def _best_line(at_px: Float64, moved_px: Float64, parameters: SeamParameters) -> tuple[Float64, float]:
     """Return the (2,) normal and the position of the line beside which a step explains most."""
     basis, _ = np.linalg.qr(_affine(at_px))
     left_px = moved_px - basis @ (basis.T @ moved_px)
-    angles = np.pi * np.arange(PARAMETERS.orientations) / PARAMETERS.orientations
+    angles = np.pi * np.arange(parameters.orientations) / parameters.orientations
     normals = np.stack([np.cos(angles), np.sin(angles)])
     across = at_px @ normals
-    shares = np.linspace(PARAMETERS.least_share, 1 - PARAMETERS.least_share, PARAMETERS.positions)
+    shares = np.linspace(parameters.least_share, 1 - parameters.least_share, parameters.positions)
     positions = np.quantile(across, shares, axis=0)
     beyond = (across[:, None] > positions).reshape(len(at_px), -1).astype(np.float64)
     beyond -= basis @ (basis.T @ beyond)
@@ -114,7 +111,12 @@ def _best_line(at_px: Float64, moved_px: Float64) -> tuple[Float64, float]:
 
 
 def _tested(
-    at_px: Float64, moved_px: Float64, beyond: Bool, normal: Float64, position_px: float
+    at_px: Float64,
+    moved_px: Float64,
+    beyond: Bool,
+    normal: Float64,
+    position_px: float,
+    parameters: SeamParameters,
 ) -> Seam | None:
     """Return the seam if its step explains more than what is smooth does, else None."""
     plane = _affine(at_px)
@@ -126,9 +128,9 @@ def _tested(
         float(((moved_px - design @ fit) ** 2).sum()) for design, fit in zip(designs, fits, strict=True)
     )
     step_px = np.asarray(fits[1][3])
-    if np.hypot(*step_px) < PARAMETERS.step_px or stepped > (1 - PARAMETERS.explained) * affine:
+    if np.hypot(*step_px) < parameters.step_px or stepped > (1 - parameters.explained) * affine:
         return None
-    if stepped > PARAMETERS.beside_smooth * quadratic:
+    if stepped > parameters.beside_smooth * quadratic:
         return None
     return Seam(normal, position_px, np.asarray(fits[1][:3]), step_px)
 

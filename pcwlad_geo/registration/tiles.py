@@ -57,8 +57,8 @@ class TileCache:
             if alone:
                 return
             if not self._fits(most_bytes):
-                plain = {each: _maps_alone(kept) for each, (_, kept) in self._pairs.items()}
-                self._pairs = {each: (_size(kept), kept) for each, kept in plain.items()}
+                plain = {number: _maps_alone(maps) for number, (_, maps) in self._pairs.items()}
+                self._pairs = {number: (_size(maps), maps) for number, maps in plain.items()}
             if not self._fits(most_bytes):
                 del self._pairs[tile]
 
@@ -221,8 +221,8 @@ def rematch_tile(
     inside = points.shifted(-reference_origin, -target_origin)
     # shifts inside the arrays do not include the offset between the two windows
     between = target_origin - reference_origin
-    again = rematch_with(channels, inside, guide.moved(-between), job.settings, scales)
-    result = TileResult(job.id, "matched", again.shifted(reference_origin, target_origin), {}, None)
+    refined = rematch_with(channels, inside, guide.moved(-between), job.settings, scales)
+    result = TileResult(job.id, "matched", refined.shifted(reference_origin, target_origin), {}, None)
     if lost is None or not len(lost.limit_px):
         return result
     saved, index = try_again(channels, lost.moved(-reference_origin, -target_origin), job.settings, scales)

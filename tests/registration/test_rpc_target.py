@@ -22,7 +22,7 @@ from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.registration.rpc import MAX_BIAS_M, check_start, place_target
+from pcwlad_geo.registration.rpc import RpcParameters, check_start, place_target
 from pcwlad_geo.registration.run import run
 from tests.cli.process import run_cli
 from tests.rpc_scene import (
@@ -382,7 +382,7 @@ def test_the_rpc_of_an_image_that_was_cropped_is_an_error(pair: Pair) -> None:
     settings = Settings(dem=pair[2], dem_vertical=0.0)
     placed, _ = place_target(reference, image, settings)
     assert placed is not None
-    px = MAX_BIAS_M / 30.0
+    px = RpcParameters().most_bias_m / 30.0
     for shift, good in (((0.9 * px, 0.0), True), ((0.8 * px, 0.8 * px), False)):
         start = Prealignment("search", shift, 8)
         if good:

@@ -107,7 +107,7 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
     pair, overviews, prealignment = start.pair, start.overviews, start.prealignment
     offset, log, by = target_offset_px(pair, prealignment), context.log, context.parameters
     matching = match_settings(pair, offset, prealignment, context)
-    planned = plan(pair, overviews, offset, matching, context.settings)
+    planned = plan(pair, overviews, offset, matching, context.settings, by.plan)
     with log.stage("matching"):
         first = run_first_pass(planned, context)
     matches, counts = first.matches, sum_counts(first.results)
@@ -149,7 +149,7 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         moving = patches(matches, consistent, other_motion, *where, by.motions)
     counts |= {"inconsistent": int((~consistent).sum()), "tie_points": int(consistent.sum())}
     record = record_matching(
-        pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results
+        pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results, by.record
     )
     return SceneMatches(
         matches=matches,

@@ -9,7 +9,9 @@ from pcwlad_geo.events import JobLog
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.judge import JudgeParameters
+from pcwlad_geo.registration.match_record import RecordParameters
 from pcwlad_geo.registration.motions import MotionParameters
+from pcwlad_geo.registration.planning import PlanParameters
 from pcwlad_geo.registration.rivals import RivalParameters
 
 
@@ -23,6 +25,10 @@ class SceneParameters:
     """Those of several motions."""
     rivals: RivalParameters = field(default_factory=RivalParameters)
     """Those of other displacements."""
+    plan: PlanParameters = field(default_factory=PlanParameters)
+    """Those of the plan."""
+    record: RecordParameters = field(default_factory=RecordParameters)
+    """Those of the record."""
     least_window_px: int = 41
     """Smallest side of a matching window, and of a common area that is matched, px."""
     windows_across: float = 1.6
