@@ -193,27 +193,19 @@ class Editor:
             )
         except InputError:  # nothing to see there
             return None
-        reference_view_px, target_view_px = (
-            points.reference_xy_px + corners[0],
-            points.target_xy_px + corners[1],
-        )
-        distance_px = np.hypot(*(reference_view_px - middles[0]).T)
-        largest_px = np.maximum(distance_px, np.hypot(*(target_view_px - middles[1]).T))
-        occupied = np.array(
-            [
-                (np.abs(taken_px - place_px).max(axis=1) < self.parameters.spacing_px).any()
-                for place_px in reference_view_px
-            ],
-            bool,
-        )
+        points = points.shifted(*corners)
+        distance_px = np.hypot(*(points.reference_xy_px - middles[0]).T)
+        largest_px = np.maximum(distance_px, np.hypot(*(points.target_xy_px - middles[1]).T))
+        spacing_px = np.abs(points.reference_xy_px[:, None] - taken_px).max(axis=2, initial=0.0)
+        occupied = (spacing_px < self.parameters.spacing_px).any(axis=1)
         distance_px[occupied | (largest_px > radius_px + 1)] = np.inf
         if len(distance_px) == 0 or np.isinf(distance_px.min()):
             return None
         nearest = int(distance_px.argmin())
         best = points[nearest : nearest + 1]
-        found_px = (
-            views.reference.to_file_px(best.reference_xy_px + corners[0]),
-            views.target.to_file_px(best.target_xy_px + corners[1]),
+        files_px = (
+            views.reference.to_file_px(best.reference_xy_px),
+            views.target.to_file_px(best.target_xy_px),
         )
         scale = float(file_px_per_px(views.target)[0])
-        return *found_px, best.covariance_px2 * scale**2, best.score
+        return *files_px, best.covariance_px2 * scale**2, best.score

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pcwlad_geo.registration.planning import plan
 from pcwlad_geo.registration.prealign import Prealignment, StartingAlignment, target_offset_px
 from pcwlad_geo.registration.quality import Doubt
 from pcwlad_geo.registration.scene.first_pass import run_first_pass, sum_counts
-from pcwlad_geo.registration.scene.parameters import SceneContext
+from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
 from pcwlad_geo.registration.scene.second_pass import check_second_pass, run_second_pass
 from pcwlad_geo.registration.scene.windows import match_settings
 from pcwlad_geo.registration.tiles import TileJob
@@ -112,62 +113,66 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         first = run_first_pass(planned, context)
     matches, counts = first.matches, sum_counts(first.results)
     consistent = consistent_points(matches, matching) if len(matches) else np.zeros(0, bool)
-    radius_px, evidence = prealignment.search_radius_px, prealignment.net_evidence
-    verdict = judge(
-        matches, consistent, counts, matching.window, radius_px, evidence=evidence, parameters=by.judge
+    judged = partial(
+        judge,
+        window_px=matching.window,
+        radius_px=prealignment.search_radius_px,
+        evidence=prealignment.net_evidence,
+        parameters=by.judge,
     )
+    verdict, second = judged(matches, consistent, counts), None
     consistent, verdict, epipolar = _by_geometry(
         matches, consistent, verdict, start, matching.window, context
     )
-    window_px, jitter, other_motion, scales = matching.window, 0.0, None, None
     if verdict.accepted:
         with log.stage("refining"):
             second = run_second_pass(first, matches, consistent, matching, not planned.sites, context)
-            scales, jitter, other_motion = second.scales, second.jitter_px, second.other_motion
-            window_px = scales.window_px
-            matches, consistent, checked = check_second_pass(
-                second, matches, replace(matching, window=window_px), epipolar
-            )
+            fine = replace(matching, window=second.scales.window_px)
+            matches, consistent, checked = check_second_pass(second, matches, fine, epipolar)
         first = first.without(checked.lost_of[checked.lost_of >= 0])
         counts = {**sum_counts(first.results), "second_try": int(checked.recovered.sum())}
         if second.incomplete:  # do the others suffice?
-            verdict = judge(
-                first.matches,
-                consistent[: len(first.matches)],
-                counts,
-                matching.window,
-                radius_px,
-                evidence=evidence,
-                parameters=by.judge,
-            )
-    offset_px = np.asarray(pair.offset_px, dtype=np.float64)
-    where = offset_px, matching.window
-    motions, moving = [], []
-    if verdict.accepted and not epipolar:
-        motions = motions_of(matches, consistent, *where, radius_px, by.motions)
-    if other_motion and not epipolar:
-        moving = patches(matches, consistent, other_motion, *where, by.motions)
+            verdict = judged(first.matches, consistent[: len(first.matches)], counts)
     counts |= {"inconsistent": int((~consistent).sum()), "tie_points": int(consistent.sum())}
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results, by.record
     )
-    return SceneMatches(
+    scene = SceneMatches(
         matches=matches,
         consistent=consistent,
         counts=counts,
         verdict=verdict,
         prealignment=prealignment,
         record=record,
-        window_px=window_px,
+        window_px=second.scales.window_px if second else matching.window,
         epipolar=epipolar,
-        motions=motions,
-        patches=moving,
-        jitter_px=jitter,
+        jitter_px=second.jitter_px if second else 0.0,
         job=first.jobs[0] if first.jobs else None,
-        scales=scales,
+        scales=second.scales if second else None,
         lost_px=first.lost.reference_xy_px,
         first_only=any(result.first_only for result in first.results),
     )
+    other_motion = second.other_motion if second else None
+    return scene if epipolar else _with_motions(scene, other_motion, start, matching.window, by)
+
+
+def _with_motions(
+    scene: SceneMatches,
+    other_motion: tuple[Float64, Bool] | None,
+    start: StartingAlignment,
+    window_px: int,
+    by: SceneParameters,
+) -> SceneMatches:
+    """Return the scene with the motions that its parts have, and those of patches smaller than a window."""
+    matches, consistent = scene.matches, scene.consistent
+    where = np.asarray(start.pair.offset_px, dtype=np.float64), window_px
+    motions: Sequence[tuple[Motion, Bool]] = ()
+    moving: Sequence[Motion] = ()
+    if scene.verdict.accepted:
+        motions = motions_of(matches, consistent, *where, start.prealignment.search_radius_px, by.motions)
+    if other_motion:
+        moving = patches(matches, consistent, other_motion, *where, by.motions)
+    return replace(scene, motions=motions, patches=moving)
 
 
 def _by_geometry(
