@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def _run(job: Job) -> Outcome:
     cv2.setNumThreads(1)
     begun = time.process_time()
     try:
-        registration = run(job.reference, job.target, job.settings, match_only=job.match_only)
+        registration = register_pair(job.reference, job.target, job.settings, match_only=job.match_only)
     except InputError as error:
         return Outcome(None, str(error), time.process_time() - begun)
     return Outcome(registration, registration.reason, time.process_time() - begun)

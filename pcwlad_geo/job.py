@@ -174,11 +174,11 @@ def match_elsewhere(inputs: tuple[str, str], settings: Settings, place: Path) ->
 
     Nothing is written to `place`, which that process may not share with this one.
     """
-    from pcwlad_geo.registration.run import run  # slow to load, and workers may be started before
+    from pcwlad_geo.registration.run import register_pair  # slow to load, and workers may be started before
 
     try:
         with trusting(settings.trust):
-            return run(*inputs, settings, runner=InThisProcess(), match_only=True)
+            return register_pair(*inputs, settings, runner=InThisProcess(), match_only=True)
     except InputError as error:
         return joined(error)
 
@@ -337,10 +337,10 @@ def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback)
     settings = job.settings
     # points of a file leave workers nothing to do
     with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
-        from pcwlad_geo.registration.run import run  # slow to load
+        from pcwlad_geo.registration.run import register_pair  # slow to load
 
         match_only = job.command == "match"
-        return run(*job.inputs, settings, on_event=on_event, runner=runner, match_only=match_only)
+        return register_pair(*job.inputs, settings, on_event=on_event, runner=runner, match_only=match_only)
 
 
 def _accepted(registration: Registration, places: Mapping[str, Path]) -> Registration:

@@ -46,7 +46,7 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching.pose import poses_by_grey_values, search_pose
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 
 sys.path.insert(0, str(REPOSITORY / "sample_data"))
 from make_sample_data import true_displacement_px
@@ -691,7 +691,7 @@ def _time(data: Path, scratch: Path, _runner: Runner, _share: float) -> Iterator
         write(scratch / f"{name}.tif", image, GRID, CRS) for name, image in (("r", reference), ("t", target))
     ]
     told: list[Settings] = [replace(SETTINGS, prealign=which) for which in ("auto", "georef")]
-    open_, sound = cheapest([partial(run, *placed, each, match_only=True) for each in told], 5)
+    open_, sound = cheapest([partial(register_pair, *placed, each, match_only=True) for each in told], 5)
     checks = [
         at_most("pose search, 512 x 512 px: CPU", related.cpu_s, SEARCH_S, "s", 2),
         at_most("of an unrelated pair", unrelated.cpu_s, REFUSED_S, "s", 2),

@@ -28,7 +28,7 @@ from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Check, Table, at_least, at_most, within
 from pcwlad_geo.correction.error_statistics import Proof
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import prove_pair, run
+from pcwlad_geo.registration.run import prove_pair, register_pair
 from pcwlad_geo.tiepoints.table import TiePointTable
 from tests.scenes import make_grid, render
 
@@ -137,7 +137,7 @@ def _both(kind: Kind, number: int, scratch: Path) -> tuple[Proof, list[TiePointT
     images[1] = ndimage.gaussian_filter(kind.target(images[1]), kind.blur_px, mode="nearest")
     files = [_files(images, kind.noise, (number, noise), scratch) for noise in range(NOISES)]
     files.append(_files(images, 0.0, (number, NOISES), scratch))
-    found = [run(*pair, SETTINGS, match_only=True).tie_points.select("matched") for pair in files]
+    found = [register_pair(*pair, SETTINGS, match_only=True).tie_points.select("matched") for pair in files]
     return prove_pair(*files[0], SETTINGS, "quick")[1], found[:-1], found[-1]
 
 

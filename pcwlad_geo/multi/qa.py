@@ -255,7 +255,7 @@ def _why_unreadable(band: Band) -> str | None:
 def _match(
     reference: Band, target: Band, settings: Settings, on_event: EventCallback, runner: Runner
 ) -> PairResult:
-    from pcwlad_geo.registration.run import run  # slow to load: the workers start meanwhile
+    from pcwlad_geo.registration.run import register_pair  # slow to load: the workers start meanwhile
 
     own = replace(
         settings,
@@ -270,7 +270,9 @@ def _match(
         on_event(Warned(f"{name}: {event.message}") if isinstance(event, Warned) else event)
 
     try:
-        found = run(reference.info.uri, target.info.uri, own, on_event=tell, runner=runner, match_only=True)
+        found = register_pair(
+            reference.info.uri, target.info.uri, own, on_event=tell, runner=runner, match_only=True
+        )
     except InputError as error:
         # of this pair only, such as no overlap: the others are measured nevertheless
         return PairResult(reference, target, "refused", joined(error))

@@ -26,7 +26,7 @@ from pcwlad_geo.tiepoints.table import overlap_middle_px
 from pcwlad_geo.types import PathLike
 
 
-def run(
+def register_pair(
     reference: PathLike,
     target: PathLike,
     settings: Settings,
@@ -82,7 +82,7 @@ def _fit_and_prove(
     fitted = fit_pair(matches, on_event=on_event)
     log = JobLog(on_event, list(fitted.warnings), dict(fitted.seconds))
     with log.stage("proving"):
-        proof = prove(matches, fitted, effort, log, runner.threads, register=run)
+        proof = prove(matches, fitted, effort, log, runner.threads, register=register_pair)
     return fitted, proof, log.seconds
 
 

@@ -22,7 +22,7 @@ from rasterio.vrt import WarpedVRT
 import pcwlad_geo as pg
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.tiepoints.table import COLUMNS
 from tests.rpc_scene import UNDULATION_M
 from tests.rpc_scene import write_pair as write_rpc_pair
@@ -102,7 +102,9 @@ def test_the_steps_find_what_is_true(steps: Steps) -> None:
 
 def test_the_job_is_these_steps(steps: Steps) -> None:
     events: list[Event] = []
-    found = run(steps.files.reference, steps.files.target, Settings(**SMALL), on_event=events.append)
+    found = register_pair(
+        steps.files.reference, steps.files.target, Settings(**SMALL), on_event=events.append
+    )
     np.testing.assert_array_equal(found.tie_points.target_px, steps.correction.tie_points.target_px)
     np.testing.assert_array_equal(found.tie_points.status, steps.correction.tie_points.status)
     assert found.correction is not None

@@ -28,7 +28,7 @@ from pcwlad_geo.registration.judge import JudgeParameters
 from pcwlad_geo.registration.matching import PairParameters, match_pair
 from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.registration.scene.parameters import SceneParameters
 from tests.cli.process import command, environment
 from tests.cluster import Cluster, cluster
@@ -58,7 +58,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def whole(pair: tuple[Path, Path]) -> Registration:
-    return run(*pair, Settings(**TILES))
+    return register_pair(*pair, Settings(**TILES))
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_a_tile_that_cannot_be_read_again_is_left_out_and_told(
 ) -> None:
     with ThreadPoolExecutor(1) as executor:
         on_event = stop_reading(copy[1], (LAST, LAST))
-        found = run(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor))
+        found = register_pair(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor))
     assert found.status == "registered"
     assert len([warning for warning in found.warnings if "left out" in warning]) == 4
     kept = found.tie_points.select("fit", "check", "unused")
@@ -180,7 +180,7 @@ def test_nothing_can_be_read_again(copy: tuple[Path, Path]) -> None:
         ThreadPoolExecutor(1) as executor,
         pytest.raises(InputError, match=r"b10\.tif: band 1 cannot be read"),
     ):
-        run(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor))
+        register_pair(*copy, Settings(**TWICE), on_event=on_event, runner=OnExecutor(executor))
 
 
 # --- processes that are killed ---------------------------------------------------------------------------

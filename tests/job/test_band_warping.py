@@ -40,7 +40,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
             made = of_files(make_registration(status), Path(reference), Path(target))
             return replace(made, settings=settings, correction=correction or made.correction)
 
-        monkeypatch.setattr("pcwlad_geo.registration.run.run", finish)
+        monkeypatch.setattr("pcwlad_geo.registration.run.register_pair", finish)
         job = workflow.match_files if status == "matched" else workflow.register
         job("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[operator]
         return Path("done")

@@ -13,7 +13,7 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import Array, write
 
 FEW: Any = {"features": 80}
@@ -57,7 +57,8 @@ def test_difference_of_two_registrations_is_the_known_shift(
     """
     images = shared_data / "paper" / folder
     first, second = (
-        run(images / fixed, images / name, Settings(model="shift", **FEW)) for name in (before, after)
+        register_pair(images / fixed, images / name, Settings(model="shift", **FEW))
+        for name in (before, after)
     )
     difference = shift_of(second) - shift_of(first)
     assert np.abs(difference - known_px).max() <= within_px
@@ -68,7 +69,7 @@ def test_difference_of_two_registrations_is_the_known_shift(
 def test_uav_pair_is_found_without_its_offset(shared_data: Path) -> None:
     images = shared_data / "paper" / "uav_1"
     visible, thermal = next(images.glob("*_Z.JPG")), next(images.glob("*_T.JPG"))
-    found = run(visible, thermal, Settings(features=80))
+    found = register_pair(visible, thermal, Settings(features=80))
     assert found.prealignment.method == "search"
     # the offset that the authors' own points have, by and large
     peers = np.loadtxt(images / "peers" / "pcwlad.pts", comments=";")
@@ -80,7 +81,10 @@ def test_uav_pair_is_found_without_its_offset(shared_data: Path) -> None:
 def test_parallax_of_the_uav_pair_is_kept(shared_data: Path) -> None:
     images = shared_data / "paper" / "uav_1"
     visible, thermal = next(images.glob("*_Z.JPG")), next(images.glob("*_T.JPG"))
-    found, planar = run(visible, thermal, Settings()), run(visible, thermal, Settings(geometry="planar"))
+    found, planar = (
+        register_pair(visible, thermal, Settings()),
+        register_pair(visible, thermal, Settings(geometry="planar")),
+    )
     assert found.geometry.name == "epipolar"
     assert found.geometry.across_px is not None
     assert found.geometry.across_px < 0.3
@@ -112,8 +116,8 @@ def sensors(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict
 @pytest.mark.gate
 @pytest.mark.slow
 def test_landsat_and_sentinel_forward_and_backward(sensors: dict[str, Path]) -> None:
-    there = run(sensors["l8"], sensors["s2"], Settings(model="shift", **FEW))
-    back = run(sensors["s2"], sensors["l8"], Settings(model="shift", **FEW))
+    there = register_pair(sensors["l8"], sensors["s2"], Settings(model="shift", **FEW))
+    back = register_pair(sensors["s2"], sensors["l8"], Settings(model="shift", **FEW))
     m = np.array(there.px_m), np.array(back.px_m)
     sum_m = shift_of(there) * m[0] + shift_of(back) * m[1]
     assert np.abs(sum_m).max() <= 0.02 * 30
@@ -127,7 +131,7 @@ def test_closure_of_three_sensors(sensors: dict[str, Path]) -> None:
     low, high = [-56650.0, -3730450.0], [-53600.0, -3724520.0]
 
     def median_m(reference: str, target: str) -> Array:
-        found = run(sensors[reference], sensors[target], Settings(features=120))
+        found = register_pair(sensors[reference], sensors[target], Settings(features=120))
         assert found.status == "registered", found.reason
         points = found.tie_points.select("fit", "check", "unused")
         common = ((points.xy > low) & (points.xy < high)).all(axis=1)
@@ -159,7 +163,7 @@ def clouded_landsat(shared_data: Path) -> Path:
 
 @pytest.mark.slow
 def test_a_thermal_band_follows_the_ground_below_the_clouds(clouded_landsat: Path) -> None:
-    found = run(clouded_landsat / "l8_B4.tif", clouded_landsat / "l8_B10.tif", Settings())
+    found = register_pair(clouded_landsat / "l8_B4.tif", clouded_landsat / "l8_B10.tif", Settings())
     assert np.abs(shift_of(found) - (0.06, -0.04)).max() < 0.3
     assert found.quality is not None
     assert found.quality.grade != "good"
@@ -169,7 +173,7 @@ def test_a_thermal_band_follows_the_ground_below_the_clouds(clouded_landsat: Pat
 def test_the_same_bands_without_their_product_are_refused(clouded_landsat: Path, tmp_path: Path) -> None:
     for band, name in (("B4", "red"), ("B10", "thermal")):
         (tmp_path / f"{name}.tif").write_bytes((clouded_landsat / f"l8_{band}.tif").read_bytes())
-    found = run(tmp_path / "red.tif", tmp_path / "thermal.tif", Settings())
+    found = register_pair(tmp_path / "red.tif", tmp_path / "thermal.tif", Settings())
     assert found.status == "rejected"
     assert "2 different displacements" in str(found.reason)
 

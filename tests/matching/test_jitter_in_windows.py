@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.error_statistics import LEAST_COMMON_PX
 from pcwlad_geo.matching.jitter import jitter_px
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render, write
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def test_a_pair_expects_the_error_of_jitter_that_its_windows_average_out(
     grid = make_grid((SIDE, SIDE))
     still = render(grid, "red", seed=4, noise=3.0)
     moved = render(grid, "red", seed=4, displacement_px=(0.7, -0.4), local=lambda at: shaken(at, size_px))
-    found = run(
+    found = register_pair(
         write(tmp_path / "still.tif", still, grid), write(tmp_path / "moved.tif", moved, grid), Settings()
     )
     assert found.correction is not None

@@ -23,7 +23,7 @@ from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.registration.proof.parameters import ProofParameters
 from pcwlad_geo.registration.proof.sites import set_up
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run as run_pair
+from pcwlad_geo.registration.run import register_pair as run_pair
 from pcwlad_geo.report.page import check_pdf
 from tests.multi.measured_bands import schema_file
 from tests.scenes import make_grid, render, write
@@ -192,7 +192,7 @@ def test_a_band_that_cannot_be_read_is_tried_once(folder: Path, monkeypatch: pyt
         matched.append((Path(reference).stem, Path(target).stem))
         return run_pair(reference, target, *arguments, **options)
 
-    monkeypatch.setattr("pcwlad_geo.registration.run.run", run)
+    monkeypatch.setattr("pcwlad_geo.registration.run.register_pair", run)
     files = [damaged, folder / "b4.tif", folder / "b5.tif"]
     result = pcwlad_geo.qa(files, out_dir=folder / "damaged", **OPTIONS)
     assert [pair.status for pair in result.pairs] == ["refused", "refused", "measured"]

@@ -19,7 +19,7 @@ from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.raster.undeclared import without_collar
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -262,7 +262,7 @@ def test_pair_is_matched_without_the_collar(tmp_path: Path) -> None:
     ]
     events: list[Event] = []
     settings = Settings(template=61, window=41, features=100)
-    found = run(paths[0], paths[1], settings, on_event=events.append, match_only=True)
+    found = register_pair(paths[0], paths[1], settings, on_event=events.append, match_only=True)
     notes = [event.message for event in events if isinstance(event, Warned)]
     assert sum("constant border" in note for note in notes) == 2
     points = found.tie_points.select("matched")

@@ -15,7 +15,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.compression import find_blocks, with_compression_blocks
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.types import Bool
 
 Bytes = NDArray[np.uint8]
@@ -111,7 +111,7 @@ def test_two_parts_of_a_bare_wall_have_nothing_to_match(tmp_path: Path, quality:
     values = compressed(wall(2), quality)
     a = write(tmp_path / "a.tif", values[5:265, 3:283])
     b = write(tmp_path / "b.tif", values[11:271, 320:600])
-    found = run(a, b, Settings(jobs=1, prealign="none"))
+    found = register_pair(a, b, Settings(jobs=1, prealign="none"))
     assert found.status == "rejected"
     assert found.counts["candidates"] == 0
 
@@ -123,7 +123,7 @@ def test_weak_structure_of_whole_numbers_is_matched(tmp_path: Path) -> None:
         write(tmp_path / "a.tif", in_bytes(ground[:400, :400])),
         write(tmp_path / "b.tif", in_bytes(255 - ground[6:406, 4:404])),
     )
-    found = run(a, b, Settings(jobs=1))
+    found = register_pair(a, b, Settings(jobs=1))
     assert found.status == "registered"
     points = found.tie_points.select("matched", "check", "fit")
     assert np.median(np.hypot(*(points.displacement_px - [-4, -6]).T)) < 0.1

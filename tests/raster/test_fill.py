@@ -17,7 +17,7 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render
 from tests.scenes import write as write_as
 
@@ -52,7 +52,7 @@ def pair_with_fill(folder: Path, dtype: str, fill: float) -> list[Path]:
 
 @pytest.mark.parametrize(("dtype", "fill"), [("int16", -9999), ("uint8", 0)])
 def test_the_ground_beside_an_undeclared_fill_is_matched(tmp_path: Path, dtype: str, fill: float) -> None:
-    found = run(*pair_with_fill(tmp_path, dtype, fill), Settings(jobs=1))
+    found = register_pair(*pair_with_fill(tmp_path, dtype, fill), Settings(jobs=1))
     assert found.status == "registered"
     moved = found.tie_points.select("fit", "check", "unused").displacement_px
     np.testing.assert_allclose(np.median(moved, axis=0), SHIFT_PX, atol=0.1)
@@ -130,7 +130,7 @@ def test_a_large_file_is_sampled(tmp_path: Path) -> None:
 @pytest.mark.skipif("PCWLAD_GEO_TEST_DATA" not in os.environ, reason="PCWLAD_GEO_TEST_DATA is not set")
 def test_a_real_pair_is_matched_as_if_its_fill_were_declared() -> None:
     folder = Path(os.environ["PCWLAD_GEO_TEST_DATA"]) / "field/undeclared_9999"
-    found = run(folder / "reference.tif", folder / "target.tif", Settings(jobs=1))
+    found = register_pair(folder / "reference.tif", folder / "target.tif", Settings(jobs=1))
     moved = found.tie_points.select("fit", "check", "unused").displacement_px
     np.testing.assert_allclose(np.median(moved, axis=0), (-2.43, 1.25), atol=0.05)
 

@@ -15,7 +15,7 @@ from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.masks import accepted, kind_of
 from pcwlad_geo.raster.pixels import valid_in_mask_file
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render
 from tests.scenes import write as write_scene
 
@@ -182,7 +182,7 @@ def test_clouds_hold_no_tie_points(tmp_path: Path) -> None:
     cloud[60:140, 90:] = CLOUD
     mask = write_scene(tmp_path / LANDSAT, cloud.astype("uint16"), grid)
     settings = Settings(template=61, window=41, features=100, tgt_mask=mask)
-    found = run(reference, target, settings)
+    found = register_pair(reference, target, settings)
     assert found.status == "registered"
     at = found.tie_points.select("fit", "check", "unused").target_px
     assert len(at) > 20

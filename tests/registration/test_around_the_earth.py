@@ -18,7 +18,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window, apply
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.earth import LONLAT, Raster, ground
 
 AT = (180.0, -17.0)
@@ -31,7 +31,7 @@ OPTIONS = {"features": 40, "window": 41, "template": 61, "jobs": 1}
 
 def off_px(reference: Path, target: Path, settings: Settings = SETTINGS) -> np.ndarray:
     """Return the mean error (col, row) of the tie points of a pair."""
-    found = run(reference, target, settings, match_only=True)
+    found = register_pair(reference, target, settings, match_only=True)
     assert found.status == "matched", found.reason
     points = found.tie_points.select("matched")
     return np.asarray((points.target_px - points.predicted_px - SHIFT_PX).mean(axis=0))
@@ -96,7 +96,7 @@ def test_an_area_and_an_extent_may_be_counted_the_other_way(tmp_path: Path) -> N
         {"aoi": str(tmp_path / "a.geojson")},
         {"extent": area.bounds},
     ):
-        found = run(reference, target, Settings(**{**OPTIONS, **settings}), match_only=True)
+        found = register_pair(reference, target, Settings(**{**OPTIONS, **settings}), match_only=True)
         x = found.tie_points.xy[:, 0]
         assert len(x) > 5
         assert (x > 179.98).all()
@@ -110,7 +110,7 @@ def test_every_two_crs_agree(scene: str, tmp_path: Path) -> None:
     rasters = SCENES[scene]
     (tmp_path / "moved").mkdir()
     for reference, target in pairwise(rasters):
-        found = run(
+        found = register_pair(
             reference.write(tmp_path), target.write(tmp_path / "moved", SHIFT_PX), SETTINGS, match_only=True
         )
         points = found.tie_points.select("matched")

@@ -14,7 +14,7 @@ from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.matching_grid import EXTENT_MARGIN_PX
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.inputs import requested_grid
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.registration.test_run import SHIFT_PX, check, write_pair
 from tests.scenes import PIXEL_M, make_grid
 
@@ -114,7 +114,7 @@ def test_of_a_huge_raster_only_what_is_compared_counts(which: str, extent: bool,
     files = {"ref": tmp_path / "ref.tif", "tgt": tmp_path / "tgt.tif"}
     files[which] = huge(files[which], grid)
     box = extent_of(grid, Window(20, 30, 200, 210)) if extent else None
-    found = run(files["ref"], files["tgt"], Settings(extent=box, features=300))
+    found = register_pair(files["ref"], files["tgt"], Settings(extent=box, features=300))
     assert found.status == "registered"
     assert found.quality is not None
     assert found.quality.grade == "good"
@@ -127,4 +127,4 @@ def test_what_is_compared_of_huge_rasters_must_not_be_huge(tmp_path: Path) -> No
     write_pair(tmp_path, grid, grid)
     files = [huge(tmp_path / f"{name}.tif", grid) for name in ("ref", "tgt")]
     with pytest.raises(InputError, match=r"pixels show ground that is compared, .* give an --extent"):
-        run(*files, Settings())
+        register_pair(*files, Settings())

@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render, write
 
 SIDE_PX, MARGIN_PX = 128, 10
@@ -35,7 +35,7 @@ def half_filled(folder: Path, *, target_seed: int = 0) -> tuple[Path, Path]:
 
 
 def test_a_small_image_is_matched_with_smaller_windows(tmp_path: Path) -> None:
-    found = run(*half_filled(tmp_path), Settings(prealign="georef"), match_only=True)
+    found = register_pair(*half_filled(tmp_path), Settings(prealign="georef"), match_only=True)
     assert found.status == "matched", found.reason
     moved = found.tie_points.select("matched").displacement_px
     np.testing.assert_allclose(np.median(moved, axis=0), (MOVED_COL, MOVED_ROW), atol=0.02)
@@ -45,7 +45,7 @@ def test_a_small_image_is_matched_with_smaller_windows(tmp_path: Path) -> None:
 
 
 def test_a_window_that_is_given_is_kept(tmp_path: Path) -> None:
-    found = run(*half_filled(tmp_path), Settings(prealign="georef", window=77), match_only=True)
+    found = register_pair(*half_filled(tmp_path), Settings(prealign="georef", window=77), match_only=True)
     assert found.status == "rejected"
     assert "a smaller --window" in (found.reason or "")
 
@@ -53,7 +53,7 @@ def test_a_window_that_is_given_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_small_images_of_other_ground_are_refused(tmp_path: Path, seed: int) -> None:
     pair = half_filled(tmp_path, target_seed=seed)
-    assert run(*pair, Settings(prealign="georef"), match_only=True).status == "rejected"
+    assert register_pair(*pair, Settings(prealign="georef"), match_only=True).status == "rejected"
 
 
 @pytest.mark.parametrize("seed", [3, 5])
@@ -64,7 +64,7 @@ def test_an_edge_of_nodata_at_the_same_pixels_of_both_pulls_no_points(tmp_path: 
         image = render(GRID, "red", seed=seed, displacement_px=displacement_px)
         image[:, 60:] = 0
         paths.append(write(tmp_path / f"{name}.tif", image, GRID, nodata=0))
-    found = run(*paths, Settings(prealign="georef"), match_only=True)
+    found = register_pair(*paths, Settings(prealign="georef"), match_only=True)
     assert found.status == "matched", found.reason
     moved = found.tie_points.select("matched").displacement_px
     np.testing.assert_allclose(np.median(moved, axis=0), moved_px, atol=0.05)

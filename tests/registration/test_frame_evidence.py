@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.frame_evidence import FrameEvidence, frame_evidence
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render, write
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def faint(
 
 def test_frames_that_share_only_their_pattern_are_not_registered(tmp_path: Path) -> None:
     paths = [frame(tmp_path / f"{n}.tif", faint(n, noise_seed=n)) for n in range(2)]
-    found = run(*paths, Settings(jobs=1))
+    found = register_pair(*paths, Settings(jobs=1))
     assert found.status == "rejected"
     assert "stands still in both frames" in str(found.reason)
 
@@ -153,7 +153,7 @@ def test_specks_over_nothing_but_noise_tell_nothing(tmp_path: Path, dust: Array)
 @pytest.mark.slow
 def test_dust_over_other_ground_is_refused(tmp_path: Path, dust: Array) -> None:
     paths = [frame(tmp_path / f"{n}.tif", dusty(n, 320, dust, n)) for n in range(2)]
-    found = run(*paths, Settings(jobs=1))
+    found = register_pair(*paths, Settings(jobs=1))
     assert found.status == "rejected"
     assert "stands still in both frames" in str(found.reason)
 
@@ -162,7 +162,7 @@ def test_ground_under_the_pattern_is_found(tmp_path: Path) -> None:
     moved_px = (17.3, -11.6)
     frames = faint(0, contrast=0.3), faint(0, moved_px, 1, contrast=0.3)
     paths = [frame(tmp_path / f"{n}.tif", each) for n, each in enumerate(frames)]
-    found = run(*paths, Settings(jobs=1, features=1000))
+    found = register_pair(*paths, Settings(jobs=1, features=1000))
     assert found.status == "registered"
     points = found.tie_points.select("fit", "check", "unused")
     np.testing.assert_allclose(np.median(points.displacement_px, axis=0), moved_px, atol=0.1)

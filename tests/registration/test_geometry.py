@@ -11,7 +11,7 @@ import pytest
 import pcwlad_geo
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import PairGeometry, Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.registrations import json_of, make_registration
 from tests.scenes import Array, make_grid, render, write
 
@@ -53,7 +53,7 @@ def register(folder: Path, **options: object) -> Registration:
     reference = write(folder / "reference.tif", render(GRID), None)
     target = write(folder / "target.tif", frame_from_the_side(), None)
     small = {"window": 41, "template": 61, "search_radius": 14, "prealign": "none", "features": 600}
-    return run(reference, target, Settings.from_options(small | options))
+    return register_pair(reference, target, Settings.from_options(small | options))
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_flat_ground_is_planar(geometry: str, tmp_path: Path) -> None:
     reference = write(tmp_path / "reference.tif", render(GRID), None)
     target = write(tmp_path / "target.tif", render(GRID, "thermal", displacement_px=(2.4, -1.3)), None)
     small = {"window": 41, "template": 61, "prealign": "none", "features": 300}
-    found = run(reference, target, Settings.from_options({**small, "geometry": geometry}))
+    found = register_pair(reference, target, Settings.from_options({**small, "geometry": geometry}))
     assert found.geometry == PairGeometry("planar")
     assert not any("parallax:" in warning for warning in found.warnings)
 
@@ -119,7 +119,7 @@ def test_what_is_georeferenced_is_planar_unless_asked_for(tmp_path: Path) -> Non
     reference = write(tmp_path / "reference.tif", render(GRID), GRID)
     target = write(tmp_path / "target.tif", frame_from_the_side(), GRID)
     for geometry, expected in (("auto", "planar"), ("epipolar", "epipolar")):
-        found = run(reference, target, Settings(geometry=geometry, window=41, template=61))  # type: ignore[arg-type]
+        found = register_pair(reference, target, Settings(geometry=geometry, window=41, template=61))  # type: ignore[arg-type]
         assert found.geometry.name == expected
 
 
@@ -127,7 +127,7 @@ def test_what_is_georeferenced_is_planar_unless_asked_for(tmp_path: Path) -> Non
 def test_another_scene_is_refused_by_its_lines_too(tmp_path: Path) -> None:
     reference = write(tmp_path / "reference.tif", render(GRID), None)
     target = write(tmp_path / "target.tif", render(GRID, "thermal", seed=9), None)
-    found = run(reference, target, Settings(geometry="epipolar"))
+    found = register_pair(reference, target, Settings(geometry="epipolar"))
     assert found.status == "rejected"
     assert found.geometry == PairGeometry("planar")
 

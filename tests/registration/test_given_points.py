@@ -15,7 +15,7 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.table import TiePointTable, place
 from tests.registrations import json_of
@@ -56,7 +56,7 @@ def test_points_of_frames_tell_how_these_lie(tmp_path: Path) -> None:
     flat = np.full(GRID.shape, 7, "uint8")
     ref, tgt = (write(tmp_path / name, flat, None, dtype="uint8") for name in ("a.tif", "b.tif"))
     path = write_table(make_table((ref, tgt)), tmp_path / "p.csv")
-    told = " ".join(run(ref, tgt, Settings(tie_points=path)).warnings)
+    told = " ".join(register_pair(ref, tgt, Settings(tie_points=path)).warnings)
     assert "only the tie points given tell how the two lie" in told
     assert "only their pixels" not in told
 
@@ -67,7 +67,7 @@ def test_the_fit_is_that_of_the_points(
     outliers: float, columns: int, rasters: tuple[Path, Path], tmp_path: Path
 ) -> None:
     path = write_table(make_table(rasters, outliers=outliers), tmp_path / "p.csv", columns)
-    found = run(*rasters, Settings(tie_points=path))
+    found = register_pair(*rasters, Settings(tie_points=path))
     assert found.status == "registered"
     assert found.correction is not None
     assert found.correction.name == "shift"
@@ -87,7 +87,7 @@ def test_points_that_are_switched_off_stay_out(rasters: tuple[Path, Path], tmp_p
     target_px = table.target_px.copy()
     target_px[100:] += 3
     path = write_table(replace(table, status=status, target_px=target_px), tmp_path / "p.csv")
-    found = run(*rasters, Settings(tie_points=path))
+    found = register_pair(*rasters, Settings(tie_points=path))
     assert found.correction is not None
     assert np.abs(found.correction.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.05
     assert (found.tie_points.status[100:] == "rejected").all()
@@ -95,7 +95,7 @@ def test_points_that_are_switched_off_stay_out(rasters: tuple[Path, Path], tmp_p
 
 def test_a_handful_of_points_is_fitted(rasters: tuple[Path, Path], tmp_path: Path) -> None:
     path = write_table(make_table(rasters, 4), tmp_path / "p.csv", 5)
-    found = run(*rasters, Settings(tie_points=path, model="shift"))
+    found = register_pair(*rasters, Settings(tie_points=path, model="shift"))
     assert found.correction is not None
     assert np.abs(found.correction.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.3
 
@@ -105,10 +105,10 @@ def test_what_does_not_fit_is_told(rasters: tuple[Path, Path], tmp_path: Path) -
     square = np.clip(table.target_px, 0, 240)
     mirrored = replace(table, target_px=square[:, ::-1], reference_px=np.clip(table.reference_px, 0, 240))
     with pytest.raises(InputError, match=r"mirror the target.*exchanged"):
-        run(*rasters, Settings(tie_points=write_table(mirrored, tmp_path / "m.csv", 5)))
+        register_pair(*rasters, Settings(tie_points=write_table(mirrored, tmp_path / "m.csv", 5)))
     off = replace(table, status=np.full(len(table), "rejected"))
     with pytest.raises(InputError, match="all 400 points are switched off"):
-        run(*rasters, Settings(tie_points=write_table(off, tmp_path / "o.csv")))
+        register_pair(*rasters, Settings(tie_points=write_table(off, tmp_path / "o.csv")))
     shuffled = replace(table, target_px=table.target_px[np.random.default_rng(1).permutation(400)])
     with pytest.raises(RegistrationRejectedError, match="no common displacement"):
         pcwlad_geo.register(
@@ -166,7 +166,7 @@ def test_a_part_of_the_ground_and_all_of_it_are_told_each(
         "extent": {"extent": (x_min, y_min, x_max, y_max)},
     }
     settings = Settings(tie_points=path, model="shift", **restrictions[restricted_by])
-    found = run(*rasters, settings)
+    found = register_pair(*rasters, settings)
     assert found.correction is not None
     assert found.quality is not None
     assert found.quality.whole is not None
@@ -187,7 +187,7 @@ def test_a_part_of_the_ground_and_all_of_it_are_told_each(
 
 
 def test_all_of_the_ground_is_told_once(rasters: tuple[Path, Path], tmp_path: Path) -> None:
-    found = run(*rasters, Settings(tie_points=write_table(make_table(rasters), tmp_path / "p.csv")))
+    found = register_pair(*rasters, Settings(tie_points=write_table(make_table(rasters), tmp_path / "p.csv")))
     assert found.quality is not None
     assert found.quality.whole is None
     assert json_of(found)["quality"]["whole_ce90_px"] is None

@@ -13,7 +13,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.prealign import StartingAlignment, direct_start, read_overviews
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import Array, make_grid, write
 
 SIDE = 400
@@ -48,7 +48,7 @@ def error_px(found: Registration) -> Array:
 
 @pytest.mark.parametrize("tile_size", [2048, pytest.param(256, marks=pytest.mark.slow)])
 def test_grey_values_register_what_structure_does_not(tile_size: int, tmp_path: Path) -> None:
-    found = run(*pair(tmp_path, bands(1)), Settings(tile_size=tile_size))
+    found = register_pair(*pair(tmp_path, bands(1)), Settings(tile_size=tile_size))
     assert found.status == "registered"
     assert found.prealignment.matched_by == "grey values"
     assert any("their grey values" in text for text in found.warnings)
@@ -60,13 +60,13 @@ def test_grey_values_register_what_structure_does_not(tile_size: int, tmp_path: 
 
 
 def test_grey_values_of_other_ground_are_refused(tmp_path: Path) -> None:
-    assert run(*pair(tmp_path, bands(1, 2)), Settings(prealign="georef")).status == "rejected"
+    assert register_pair(*pair(tmp_path, bands(1, 2)), Settings(prealign="georef")).status == "rejected"
 
 
 @pytest.mark.parametrize("method", ["gradient", pytest.param("pcwlad", marks=pytest.mark.slow)])
 def test_a_method_that_was_chosen_is_kept_to(method: str, tmp_path: Path) -> None:
     settings = Settings(prealign="georef", method=method)  # type: ignore[arg-type]
-    assert run(*pair(tmp_path, bands(1)), settings).prealignment.matched_by == "structure"
+    assert register_pair(*pair(tmp_path, bands(1)), settings).prealignment.matched_by == "structure"
 
 
 def test_the_relation_is_measured_where_both_lie_over_each_other(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pcwlad_geo.multi.bands import list_bands, statistics_by_unit
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.report.content import summarise
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, render, write
 
@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_web_mercator_pair_is_measured_in_metres_of_the_ground(folder: Path) -> None:
     settings = Settings(template=61, window=41, features=60)
-    found = run(folder / "ref.tif", folder / "tgt.tif", settings)
+    found = register_pair(folder / "ref.tif", folder / "tgt.tif", settings)
     grid = found.target.grid
     ends_px = np.array([[99.5, 100], [100.5, 100], [100, 99.5], [100, 100.5]])
     ends = transform_xy(grid.to_xy(ends_px), MERCATOR, CRS.from_epsg(4326))

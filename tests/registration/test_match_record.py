@@ -18,7 +18,7 @@ from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.match_record import GROUND, record_ground
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.report.statistics import coverage_of
 from tests.scenes import make_grid, render, write
 
@@ -38,7 +38,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Registration:
     numbers[NODATA] = 0
     ref = write(folder / "ref.tif", reference, grid)
     tgt = write(folder / "tgt.tif", numbers.astype("uint16"), grid, nodata=0)
-    return run(ref, tgt, SETTINGS, match_only=True)
+    return register_pair(ref, tgt, SETTINGS, match_only=True)
 
 
 def reasons(found: Registration, place: tuple[slice, slice]) -> Counter[str]:

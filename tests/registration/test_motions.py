@@ -21,7 +21,7 @@ from pcwlad_geo.registration.motions import (
     patches,
     share_displaced,
 )
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render, write
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ def pair(folder: Path, names: tuple[str, str], share: float) -> tuple[Path, Path
 @pytest.mark.slow
 def test_bands_of_one_product_follow_the_ground_below_most_clouds(tmp_path: Path) -> None:
     (tmp_path / "scene_MTL.txt").write_text("GROUP = L1_METADATA_FILE\n")
-    found = run(*pair(tmp_path, ("scene_B4.tif", "scene_B10.tif"), 0.65), FEW)
+    found = register_pair(*pair(tmp_path, ("scene_B4.tif", "scene_B10.tif"), 0.65), FEW)
     assert found.status == "registered"
     at = np.array([[SIDE / 2, SIDE * 0.85]])
     assert found.correction is not None
@@ -77,7 +77,7 @@ def test_clear_bands_of_one_product_that_lie_apart_are_fair_and_told_of(
     (tmp_path / "scene_MTL.txt").write_text("GROUP = L1_METADATA_FILE\n")
     first = write(tmp_path / "scene_B4.tif", render(CLEAR, "red", seed=2), CLEAR)
     moved = render(CLEAR, "thermal", seed=2, displacement_px=moved_px)
-    found = run(first, write(tmp_path / "scene_B10.tif", moved, CLEAR), Settings(features=150))
+    found = register_pair(first, write(tmp_path / "scene_B10.tif", moved, CLEAR), Settings(features=150))
     assert found.correction is not None
     at = np.array([[150.0, 150.0]])
     assert np.abs(found.correction.forward(at) - at - moved_px).max() < 0.1
@@ -88,7 +88,7 @@ def test_clear_bands_of_one_product_that_lie_apart_are_fair_and_told_of(
 
 @pytest.mark.slow
 def test_other_images_of_two_motions_are_refused_with_both_named(tmp_path: Path) -> None:
-    found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.65), FEW)
+    found = register_pair(*pair(tmp_path, ("first.tif", "second.tif"), 0.65), FEW)
     assert found.status == "rejected"
     assert found.reason is not None
     assert "2 different displacements" in found.reason
@@ -97,7 +97,7 @@ def test_other_images_of_two_motions_are_refused_with_both_named(tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_few_clouds_leave_the_ground_its_place(tmp_path: Path) -> None:
-    found = run(*pair(tmp_path, ("first.tif", "second.tif"), 0.3), Settings())
+    found = register_pair(*pair(tmp_path, ("first.tif", "second.tif"), 0.3), Settings())
     assert found.status == "registered"
     kept = found.tie_points.select("fit", "check", "unused").displacement_px
     assert np.linalg.norm(kept - GROUND_PX, axis=1).max() < 2.0
@@ -112,7 +112,9 @@ def test_a_ship_that_moves_is_no_second_motion(tmp_path: Path) -> None:
     )
     first[200:230, 100:112] = 250.0
     second[205:235, 107:119] = 250.0
-    found = run(write(tmp_path / "a.tif", first, CLEAR), write(tmp_path / "b.tif", second, CLEAR), FEW)
+    found = register_pair(
+        write(tmp_path / "a.tif", first, CLEAR), write(tmp_path / "b.tif", second, CLEAR), FEW
+    )
     assert found.status == "registered"
     assert found.motions == ()
     assert found.quality is not None
@@ -128,7 +130,9 @@ def test_patches_smaller_than_a_window_are_told_from_what_fits_around_the_points
     patch = height > np.quantile(height, 0.84)
     moved = [render(grid, "thermal", seed=2, displacement_px=by) for by in (GROUND_PX, (4.3, -0.2))]
     first = write(tmp_path / "a.tif", render(grid, "red", seed=2), grid)
-    found = run(first, write(tmp_path / "b.tif", np.where(patch, moved[1], moved[0]), grid), Settings())
+    found = register_pair(
+        first, write(tmp_path / "b.tif", np.where(patch, moved[1], moved[0]), grid), Settings()
+    )
     assert found.status == "registered"
     assert found.quality is not None
     assert found.quality.grade != "good"

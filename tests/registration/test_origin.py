@@ -21,7 +21,7 @@ from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.assessment import _common_px
 from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def again(folder: Path, path: Path, **options: object) -> Registration:
     """Register the pair with points of a file."""
     settings = Settings(tie_points=path, **options)  # type: ignore[arg-type]
-    return run(folder.parent / "ref.tif", folder.parent / "tgt.tif", settings)
+    return register_pair(folder.parent / "ref.tif", folder.parent / "tgt.tif", settings)
 
 
 def table_of(folder: Path, name: str = "tiepoints.csv") -> TiePointTable:
@@ -233,7 +233,7 @@ def test_the_error_told_is_the_true_one_by_all_ways(tmp_path: Path) -> None:
     found = {"first run": first}
     names = {"Align with these": "edited.points", ".points": "landsat_b10.tif.points"}
     for way, name in {**names, "tiepoints.csv": "tiepoints.csv"}.items():
-        found[way] = run(*pair, Settings(tie_points=tmp_path / "first" / name))
+        found[way] = register_pair(*pair, Settings(tie_points=tmp_path / "first" / name))
     for way, registration in found.items():
         assert registration.quality is not None
         told, true = registration.quality.expected_ce90_px, true_ce90_px(registration, pair)

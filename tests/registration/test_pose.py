@@ -30,7 +30,7 @@ from pcwlad_geo.registration.prealign import (
     scales_of_frames,
 )
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.registration.scene import pose as pose_module
 from pcwlad_geo.registration.scene.parameters import SceneContext
 from pcwlad_geo.registration.scene.pose import match_again_in_pose, pose_from_points
@@ -54,7 +54,9 @@ def register(folder: Path, linear: Array, shift: Array, *, located: bool, **opti
     reference = write(folder / "reference.tif", render(GRID), GRID if located else None)
     values = render(GRID, "thermal", linear=linear, displacement_px=shift)
     target = write(folder / "target.tif", values, GRID if located else None)
-    return run(reference, target, Settings.from_options({"window": 81, "features": 1000, **options}))
+    return register_pair(
+        reference, target, Settings.from_options({"window": 81, "features": 1000, **options})
+    )
 
 
 def errors_px(found: Registration, linear: Array, shift: Array) -> Array:
@@ -110,7 +112,7 @@ def test_a_sheared_target_is_matched_in_its_shape(tmp_path: Path) -> None:
 def test_another_scene_is_refused_in_every_pose(tmp_path: Path) -> None:
     reference = write(tmp_path / "reference.tif", render(GRID), None)
     target = write(tmp_path / "target.tif", render(GRID, "thermal", seed=9), None)
-    found = run(reference, target, Settings())
+    found = register_pair(reference, target, Settings())
     assert found.status == "rejected"
     assert found.prealignment.searched
     assert found.prealignment.pose is None
@@ -175,7 +177,7 @@ def test_flat_ground_seen_from_the_side_is_projective(
 
     reference = write(tmp_path / "reference.tif", render(GRID), None)
     values = render(GRID, "thermal", linear=linear, displacement_px=shift, local=beside)
-    found = run(reference, write(tmp_path / "target.tif", values, None), Settings())
+    found = register_pair(reference, write(tmp_path / "target.tif", values, None), Settings())
     assert found.status == "registered"
     assert (found.prealignment.pose is not None) == (turn_deg != 0)
     assert found.correction is not None
@@ -226,7 +228,7 @@ def test_pixels_of_very_different_size_are_found_by_the_cameras(told: bool, tmp_
             "FocalPlaneResolutionUnit": 4,
         }
         tag_jpeg(path, RELATIVE if told else "", **tags)  # type: ignore[arg-type]
-    found = run(reference, target, Settings())
+    found = register_pair(reference, target, Settings())
     assert any("8.0 times as large" in warning for warning in found.warnings) == told
     assert any("data are ignored" in warning for warning in found.warnings) != told
     assert found.status == "registered"
@@ -244,7 +246,7 @@ def test_frames_of_very_different_size_are_found_by_these(tmp_path: Path) -> Non
     visible = write(tmp_path / "visible.tif", render(fine), None)
     values = render(make_grid((160, 176)), "thermal", linear=turn, displacement_px=shift)
     thermal = write(tmp_path / "thermal.tif", values, None)
-    found = run(visible, thermal, Settings())
+    found = register_pair(visible, thermal, Settings())
     assert found.status == "registered"
     assert found.prealignment.expected_scale == pytest.approx(1 / 7.7, rel=1e-3)
     assert np.median(errors_px(found, turn * scale, shift)) < 0.3
@@ -273,7 +275,7 @@ def test_a_scale_is_guessed_of_frames_of_very_different_size_alone(tmp_path: Pat
 def test_a_refusal_speaks_of_the_scale_where_sizes_differ_much(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     paths = [write(tmp_path / f"{n}.tif", rng.uniform(1, 255, (n, n)), None) for n in (700, 100)]
-    found = run(*paths, Settings())
+    found = register_pair(*paths, Settings())
     assert found.status == "rejected"
     assert "The pixels of the reference may be 7.0 times as small" in str(found.reason)
 

@@ -12,7 +12,7 @@ from pcwlad_geo.multi.stack import stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.registration.positions import PositionConflict, position_conflict
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render, tag_jpeg, write
 
 SIDE_PX = 240
@@ -116,17 +116,17 @@ def test_without_positions_or_heights_nothing_is_said(tmp_path: Path) -> None:
 
 def test_a_pattern_of_the_camera_is_refused_by_the_positions(tmp_path: Path) -> None:
     first, second = frame(tmp_path / "a.jpg", 0.0), frame(tmp_path / "b.jpg", 534.0, seed=1)
-    found = run(first, second, QUICK)
+    found = register_pair(first, second, QUICK)
     assert found.status == "rejected"
     assert found.reason is not None
     assert "the cameras were 534 m apart" in found.reason
     assert "they share none" in found.reason
     near = frame(tmp_path / "near.jpg", 150.0, seed=1)
-    found = run(first, near, QUICK)
+    found = register_pair(first, near, QUICK)
     assert found.quality is not None
     assert found.quality.grade == "poor"
     assert "the displacement found is about 0 m" in found.quality.reasons[0].text
-    assert run(first, frame(tmp_path / "same.jpg", 5.0, seed=1), QUICK).status == "registered"
+    assert register_pair(first, frame(tmp_path / "same.jpg", 5.0, seed=1), QUICK).status == "registered"
 
 
 @pytest.mark.slow

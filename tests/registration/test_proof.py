@@ -25,7 +25,7 @@ from pcwlad_geo.registration.proof.resampling import Resampler, moves_of
 from pcwlad_geo.registration.proof.sensitivity import DIFFICULTIES, _clouded, _limit, sensitivity
 from pcwlad_geo.registration.proof.sites import _spread
 from pcwlad_geo.registration.result import Matches, Registration
-from pcwlad_geo.registration.run import prove_pair, run
+from pcwlad_geo.registration.run import prove_pair, register_pair
 from pcwlad_geo.tiepoints.table import TiePointTable
 from tests.scenes import make_grid, render, write
 
@@ -130,7 +130,9 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Proof:
 def test_the_error_that_is_told_is_the_true_one(told: Proof, tmp_path: Path) -> None:
     errors = []
     for seed in range(6):
-        found = run(*pair(tmp_path, 6.0, seed), SETTINGS, match_only=True).tie_points.select("matched")
+        found = register_pair(*pair(tmp_path, 6.0, seed), SETTINGS, match_only=True).tie_points.select(
+            "matched"
+        )
         errors.append(found.displacement_px - SHIFT_PX)
     scatter = np.sqrt(np.mean([(each.std(axis=0) ** 2).sum() for each in errors]))
     assert np.hypot(*told.scatter_px) == pytest.approx(scatter, rel=0.25)
@@ -261,7 +263,7 @@ def matches_of(table: TiePointTable, matched: Matches) -> Matches:
 
 @pytest.mark.slow
 def test_a_pair_tolerates_displacements_up_to_its_search_radius(matched: Matches) -> None:
-    found = sensitivity(matched, run, JobLog(ignore))
+    found = sensitivity(matched, register_pair, JobLog(ignore))
     assert found is not None
     limits = {limit.name: limit for limit in found.limits}
     # by its settings, the pair is searched within 6 px and nowhere else
@@ -282,7 +284,7 @@ def test_a_result_that_is_accepted_and_lies_elsewhere_is_wrong(matched: Matches)
 
     def register(reference: str, target: str, settings: Settings) -> Registration:
         if len(found) < 3:  # as it lies, there and back
-            found.append(run(reference, target, settings))
+            found.append(register_pair(reference, target, settings))
             return found[-1]
         table = found[0].tie_points
         return replace(found[0], tie_points=replace(table, target_px=table.target_px + np.array([1.0, 1.5])))
@@ -298,7 +300,7 @@ def test_a_result_that_is_accepted_and_lies_elsewhere_is_wrong(matched: Matches)
 
 def test_a_part_that_is_refused_as_it_lies_tells_nothing(matched: Matches) -> None:
     def refuse(reference: str, target: str, settings: Settings) -> Registration:
-        return replace(run(reference, target, settings), status="rejected")
+        return replace(register_pair(reference, target, settings), status="rejected")
 
     assert sensitivity(matched, refuse, JobLog(ignore)) is None
 

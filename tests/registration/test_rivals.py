@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.repeating_ground import repeating_pair
 from tests.scenes import make_grid, render, write
 
@@ -32,7 +32,7 @@ def _write(path: Path, values: NDArray[np.uint8]) -> Path:
 
 def _registered(folder: Path, images: tuple[NDArray[np.uint8], ...], settings: Settings) -> Registration:
     paths = [_write(folder / f"{name}.tif", image) for name, image in zip("rt", images, strict=True)]
-    return run(*paths, settings)
+    return register_pair(*paths, settings)
 
 
 def _median_px(result: Registration) -> NDArray[np.float64]:
@@ -63,7 +63,7 @@ def _seam(folder: Path, left_px: float, right_px: float, settings: Settings) -> 
     mosaic = np.where(np.arange(360) < 200, *halves)
     reference = write(folder / "reference.tif", render(grid), grid)
     target = write(folder / "target.tif", mosaic, grid)
-    return run(reference, target, settings)
+    return register_pair(reference, target, settings)
 
 
 def test_a_part_beyond_the_search_border_is_searched_for(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_a_field_trial_that_is_one_plot_off(shared_data: Path, prealign: str) ->
     if not case.is_dir():
         pytest.skip(f"no {case}")
     settings = Settings(prealign=prealign)  # type: ignore[arg-type]
-    result = run(case / "reference.tif", case / "one_plot_north.tif", settings)
+    result = register_pair(case / "reference.tif", case / "one_plot_north.tif", settings)
     assert result.quality is not None
     assert result.quality.grade == "good"
     assert_allclose(_median_px(result), (0.0, -30.006), atol=0.05)
@@ -102,7 +102,7 @@ def test_two_blocks_of_a_mosaic_of_which_one_lies_beyond_the_search(shared_data:
     case = shared_data / "field" / "two_blocks_search_border"
     if not case.is_dir():
         pytest.skip(f"no {case}")
-    result = run(case / "reference.tif", case / "target.tif", Settings())
+    result = register_pair(case / "reference.tif", case / "target.tif", Settings())
     points = result.tie_points[result.tie_points.status != "rejected"]
     col, off_px = points.predicted_px[:, 0], points.displacement_px[:, 0]
     assert_allclose(np.median(off_px[col < 0.5 * 512]), 11.2, atol=0.05)

@@ -14,7 +14,7 @@ from pcwlad_geo.raster.rpc.model import RpcModel, read_rpc
 from pcwlad_geo.raster.rpc.ortho import RpcPlacement, ortho_grid, place_by_rpc
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.rpc import place_target
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.rpc_scene import (
     SHAPE,
     UNDULATION_M,
@@ -50,7 +50,7 @@ def scene(folder: Path, rpc: RpcModel, dem: Path, grid: Grid) -> tuple[Path, Pat
 def test_a_part_cut_from_a_product_is_registered(tmp_path: Path) -> None:
     dem = write_dem(tmp_path / "dem.tif")
     pair = scene(tmp_path, of_a_product(make_rpc()), dem, dem_grid())
-    found = run(*pair, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
+    found = register_pair(*pair, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
     np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.02)
     assert found.rpc.bias_error_px < 1e-3
     assert found.warnings == ()
@@ -103,7 +103,7 @@ def test_a_warning_says_what_is_lost_and_why(far_below: tuple[Path, Path, Path])
 @pytest.mark.slow
 def test_every_tie_point_has_metres(far_below: tuple[Path, Path, Path]) -> None:
     reference, image, dem = far_below
-    found = run(reference, image, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
+    found = register_pair(reference, image, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
     assert np.isfinite(found.tie_points.displacement_m).all()
     assert np.isfinite(found.tie_points.target_px).all()
     np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.03)
@@ -136,7 +136,9 @@ def test_what_is_not_found_may_have_the_rpc_of_another_image(tmp_path: Path) -> 
     dem = write_dem(tmp_path / "dem.tif")
     _, image = scene(tmp_path, make_rpc(), dem, dem_grid())
     other = write(tmp_path / "other.tif", render(REFERENCE, seed=7), REFERENCE)
-    found = run(other, image, Settings(dem=dem, dem_vertical=UNDULATION_M, prealign="georef", jobs=1))
+    found = register_pair(
+        other, image, Settings(dem=dem, dem_vertical=UNDULATION_M, prealign="georef", jobs=1)
+    )
     assert found.status == "rejected"
     assert "the RPC in the tag of" in found.reason
     assert "cropped or decimated from" in found.reason

@@ -18,7 +18,7 @@ from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.inputs import check_output
 from pcwlad_geo.registration.rpc import place_reference
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.rpc_scene import UNDULATION_M, make_rpc, oblique_rpc, rpc_grid, write_dem, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
 
@@ -142,7 +142,7 @@ def test_its_siblings_lie_on_the_same_lattice(
 def test_a_target_on_the_map_needs_no_rpc(folder: Path, tmp_path: Path) -> None:
     grid = make_grid((280, 290), offset_m=(150, 150))
     target = write(tmp_path / "target.tif", render(grid, displacement_px=TRUTH_PX), grid)
-    found = run(folder / "reference.tif", target, heights(folder))
+    found = register_pair(folder / "reference.tif", target, heights(folder))
     assert found.rpc is None
     np.testing.assert_allclose(found.correction.forward(np.zeros((1, 2)))[0], TRUTH_PX, rtol=0, atol=0.05)
     assert found.tie_points.crs == CRS_OF_SCENE

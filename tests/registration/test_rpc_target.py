@@ -23,7 +23,7 @@ from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.rpc import RpcParameters, check_start, place_target
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.cli.process import run_cli
 from tests.rpc_scene import (
     PX_PER_M,
@@ -153,13 +153,13 @@ def test_dem_and_geoid_are_files_that_a_job_reads(pair: Pair) -> None:
 def test_a_second_registration_finds_nothing(registered: Registered, pair: Pair) -> None:
     _, out_dir = registered
     settings = Settings(dem=pair[2], dem_vertical=UNDULATION_M, jobs=1, trust_vrt=True)
-    again = run(pair[0], out_dir / "image_rpc.vrt", settings)
+    again = register_pair(pair[0], out_dir / "image_rpc.vrt", settings)
     assert np.hypot(*again.tie_points.select("fit", "check").displacement_px.mean(axis=0)) < 0.02
 
 
 def test_the_orthorectified_raster_lies_on_the_reference(registered: Registered, pair: Pair) -> None:
     _, out_dir = registered
-    again = run(pair[0], out_dir / "image_registered.tif", Settings(jobs=1))
+    again = register_pair(pair[0], out_dir / "image_registered.tif", Settings(jobs=1))
     assert np.hypot(*again.tie_points.select("fit", "check").displacement_px.mean(axis=0)) < 0.03
 
 
@@ -194,7 +194,7 @@ def test_gdalwarp_makes_the_same_of_the_corrected_rpc(
 @pytest.mark.slow
 def test_a_wrong_datum_moves_the_shift_by_what_its_height_means(registered: Registered, pair: Pair) -> None:
     found, _ = registered
-    without = run(pair[0], pair[1], Settings(dem=pair[2], dem_vertical=0.0, jobs=1, features=300))
+    without = register_pair(pair[0], pair[1], Settings(dem=pair[2], dem_vertical=0.0, jobs=1, features=300))
     moved = found.correction.matrix[:, 2] - without.correction.matrix[:, 2]
     np.testing.assert_allclose(moved, -UNDULATION_M * PX_PER_M, rtol=0, atol=0.05)
 
@@ -216,7 +216,7 @@ def test_an_affine_error_is_folded_too(pair: Pair, tmp_path: Path) -> None:
     seen = render(rpc_grid(pair[2]), displacement_px=(1.0, -0.5), linear=linear)
     values = np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16)
     image = write_image(tmp_path / "image.tif", values, make_rpc())
-    found = run(pair[0], image, Settings(dem=pair[2], dem_vertical=UNDULATION_M, jobs=1))
+    found = register_pair(pair[0], image, Settings(dem=pair[2], dem_vertical=UNDULATION_M, jobs=1))
     assert found.correction.name == "affine"
     assert found.rpc.bias_error_px < 1e-3
     corners = np.array([[0.0, 0.0], [320.0, 0.0], [320.0, 300.0], [0.0, 300.0]])
@@ -374,7 +374,7 @@ def test_options_that_make_no_sense_are_errors(pair: Pair) -> None:
 def test_the_rpc_of_another_place_is_an_error(pair: Pair, tmp_path: Path) -> None:
     image = write_image(tmp_path / "image.tif", np.ones(SHAPE, np.uint8), make_rpc(long_off=20.0))
     with pytest.raises(InputError, match=r"do not overlap.*the RPC that belongs to the target"):
-        run(pair[0], image, Settings(jobs=1))
+        register_pair(pair[0], image, Settings(jobs=1))
 
 
 def test_the_rpc_of_an_image_that_was_cropped_is_an_error(pair: Pair) -> None:

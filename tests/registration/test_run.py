@@ -26,7 +26,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration import assessment
 from pcwlad_geo.registration.quality import Quality, Reason
 from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.report.content import summarise
 from tests.execution.calls import Shuffled
 from tests.scenes import CRS_OF_SCENE, Array, make_grid, render, write
@@ -44,7 +44,7 @@ class Pair:
     target: Path
 
     def run(self, **options: object) -> Registration:
-        return run(self.reference, self.target, Settings(**{**SMALL, **options}))
+        return register_pair(self.reference, self.target, Settings(**{**SMALL, **options}))
 
 
 def write_pair(
@@ -155,7 +155,7 @@ def test_another_modality(tmp_path: Path) -> None:
     grid = make_grid((260, 260))
     reference = write(tmp_path / "b4.tif", render(grid), grid)
     target = write(tmp_path / "b10.tif", render(grid, "thermal", displacement_px=SHIFT_PX), grid)
-    check(run(reference, target, Settings(template=81, window=81, features=60)), within_px=0.1)
+    check(register_pair(reference, target, Settings(template=81, window=81, features=60)), within_px=0.1)
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Bending:
 
     def match(self, **options: object) -> Registration:
         settings = Settings.from_options({"features": 150, "points": "all", "search_radius": 8, **options})
-        return run(self.pair.reference, self.pair.target, settings, match_only=True)
+        return register_pair(self.pair.reference, self.pair.target, settings, match_only=True)
 
     def bent(self, at: Array) -> Array:
         return self.bend_px * np.sin(2 * np.pi * at[:, ::-1] / 300)
@@ -210,7 +210,10 @@ def test_small_images_keep_the_first_window(tmp_path: Path) -> None:
     grid = make_grid((380, 420))
     reference = write(tmp_path / "b4.tif", render(grid), grid)
     target = write(tmp_path / "b10.tif", render(grid, "thermal", displacement_px=SHIFT_PX), grid)
-    assert run(reference, target, Settings(features=150, points="all"), match_only=True).window_px == 81
+    assert (
+        register_pair(reference, target, Settings(features=150, points="all"), match_only=True).window_px
+        == 81
+    )
 
 
 @pytest.mark.parametrize(
@@ -225,7 +228,7 @@ def test_jpeg_and_jpeg_2000(driver: str, options: dict[str, Any], tmp_path: Path
     reference = write(tmp_path / f"ref.{suffix}", render(REFERENCE), REFERENCE, driver=driver, **options)
     values = render(REFERENCE, displacement_px=SHIFT_PX)
     target = write(tmp_path / f"tgt.{suffix}", values, REFERENCE, driver=driver, **options)
-    found = run(reference, target, Settings(**SMALL))
+    found = register_pair(reference, target, Settings(**SMALL))
     assert found.reference.georeferenced
     check(found)
 
@@ -304,7 +307,9 @@ def test_the_decoy_would_be_seen(tmp_path: Path) -> None:
     grid = make_grid((220, 240))
     values, seen, _ = decoy(grid)
     pair = Pair(write(tmp_path / "ref.tif", values, grid), write(tmp_path / "tgt.tif", seen, grid))
-    moved = run(pair.reference, pair.target, Settings(**SMALL), match_only=True).tie_points.displacement_px
+    moved = register_pair(
+        pair.reference, pair.target, Settings(**SMALL), match_only=True
+    ).tie_points.displacement_px
     assert (np.hypot(*moved.T) < 0.2).sum() > 10
 
 
@@ -328,7 +333,7 @@ def test_recovers_an_affine_displacement(tmp_path: Path) -> None:
     reference = write(tmp_path / "ref.tif", render(grid), grid)
     seen = render(grid, linear=AFFINE, displacement_px=SHIFT_PX)
     target = write(tmp_path / "tgt.tif", seen, grid)
-    found = run(reference, target, Settings(template=61, window=41, features=120))
+    found = register_pair(reference, target, Settings(template=61, window=41, features=120))
     assert found.status == "registered", found.reason
     assert found.correction is not None
     assert found.correction.name == "affine"
@@ -354,7 +359,7 @@ def test_local_displacements_are_taken_out_by_a_spline_or_told_in_a_warning(
 
     reference = write(tmp_path / "ref.tif", render(grid), grid)
     target = write(tmp_path / "tgt.tif", render(grid, local=waves), grid)
-    found = run(reference, target, Settings(template=61, window=41, features=150, model=model))
+    found = register_pair(reference, target, Settings(template=61, window=41, features=150, model=model))
     assert found.status == "registered", found.reason
     assert found.correction is not None
     points = found.tie_points.select("fit", "check", "unused")
@@ -382,7 +387,7 @@ def test_forward_and_backward_agree(tmp_path: Path) -> None:
 
 def test_same_file_and_band_is_registered_with_zero_displacement_and_a_warning(tmp_path: Path) -> None:
     path = write(tmp_path / "ref.tif", render(REFERENCE), REFERENCE)
-    found = run(path, f"{tmp_path}/./ref.tif", Settings(**SMALL))
+    found = register_pair(path, f"{tmp_path}/./ref.tif", Settings(**SMALL))
     check(found, (0.0, 0.0), within_px=1e-4)
     assert any("same file and band" in warning for warning in found.warnings)
 
@@ -426,7 +431,7 @@ def test_narrow_overlap_shrinks_the_windows_and_says_so(tmp_path: Path) -> None:
     pair = Pair(
         write(tmp_path / "ref.tif", render(reference), reference), write(tmp_path / "tgt.tif", seen, grid)
     )
-    found = run(pair.reference, pair.target, Settings(features=100))
+    found = register_pair(pair.reference, pair.target, Settings(features=100))
     assert any("windows shrunk to 41 px" in warning for warning in found.warnings)
     check(found, (1.3, -0.6))
 
@@ -436,7 +441,7 @@ def test_narrow_overlap_shrinks_the_windows_and_says_so(tmp_path: Path) -> None:
 
 def on(runner: Runner | None, folder: Path, tile_size: int = 140) -> Registration:
     settings = Settings(**{**SMALL, "tile_size": tile_size, "features": 120})
-    return run(folder / "ref.tif", folder / "tgt.tif", settings, runner=runner)
+    return register_pair(folder / "ref.tif", folder / "tgt.tif", settings, runner=runner)
 
 
 @cache
@@ -494,7 +499,7 @@ def test_any_order_gives_the_same_to_the_last_bit(seed: int, scene: Path) -> Non
 def test_events_tell_the_stages_in_order(tmp_path: Path) -> None:
     pair = write_pair(tmp_path, make_grid((200, 200)))
     events: list[Event] = []
-    run(pair.reference, pair.target, Settings(**SMALL), on_event=events.append)
+    register_pair(pair.reference, pair.target, Settings(**SMALL), on_event=events.append)
     steps = [event for event in events if isinstance(event, Progress)]
     stages = list(dict.fromkeys(step.stage for step in steps))
     assert stages == ["reading", "matching", "refining", "fitting"]
@@ -509,7 +514,7 @@ def test_events_tell_the_stages_in_order(tmp_path: Path) -> None:
 def test_warnings_are_events_and_kept(tmp_path: Path) -> None:
     path = write(tmp_path / "ref.tif", render(REFERENCE), REFERENCE)
     events: list[Event] = []
-    found = run(path, path, Settings(**SMALL), on_event=events.append)
+    found = register_pair(path, path, Settings(**SMALL), on_event=events.append)
     assert tuple(event.message for event in events if isinstance(event, Warned)) == found.warnings
 
 
@@ -526,12 +531,12 @@ def test_an_exception_of_the_callback_ends_the_job(stage: str, tmp_path: Path) -
             raise StoppedError
 
     with pytest.raises(StoppedError):
-        run(pair.reference, pair.target, Settings(**SMALL), on_event=stop)
+        register_pair(pair.reference, pair.target, Settings(**SMALL), on_event=stop)
 
 
 def test_match_only_fits_nothing(tmp_path: Path) -> None:
     pair = write_pair(tmp_path, make_grid((200, 200)))
-    found = run(pair.reference, pair.target, Settings(**SMALL), match_only=True)
+    found = register_pair(pair.reference, pair.target, Settings(**SMALL), match_only=True)
     assert found.status == "matched"
     assert found.correction is None
     assert set(found.tie_points.status) <= {"matched", "rejected"}

@@ -11,7 +11,7 @@ import pytest
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import run
+from pcwlad_geo.registration.run import register_pair
 from tests.registration.test_pose import GRID, errors_px, pose_of
 from tests.scenes import Array, render, write
 
@@ -65,7 +65,7 @@ def test_a_proposed_pose_is_matched_to_a_fraction_of_a_pixel(
         "pcwlad_geo.registration.scene.starts.PoseStarts", lambda *_: pytest.fail("the proposal was enough")
     )
     files = pair(tmp_path, linear, shift)
-    found = run(*files, Settings(**FEW, start_matcher=f"{name}:of_known_pose"))
+    found = register_pair(*files, Settings(**FEW, start_matcher=f"{name}:of_known_pose"))
     assert found.status == "registered"
     assert np.sqrt((errors_px(found, linear, shift) ** 2).mean()) < 0.3
     assert found.prealignment.pose is not None
@@ -84,7 +84,7 @@ def test_a_proposed_pose_of_another_scene_is_refused(
 ) -> None:
     name, linear, shift = stand_in
     files = pair(tmp_path, linear, shift, seed=9)
-    found = run(*files, Settings(**FEW, start_matcher=f"{name}:of_known_pose"))
+    found = register_pair(*files, Settings(**FEW, start_matcher=f"{name}:of_known_pose"))
     assert found.status == "rejected"
 
 
@@ -94,11 +94,11 @@ def test_proposals_that_agree_on_nothing_change_nothing(
     linear, shift = np.eye(2), np.array([3.0, -2.0])
     files = pair(tmp_path, linear, shift)
     few = {"jobs": 1, "features": 100, "window": 81, "model": "affine", "prealign": "search"}
-    without = run(*files, Settings.from_options(few))
+    without = register_pair(*files, Settings.from_options(few))
     assert len(without.tie_points) > 50
     for matcher in ("of_nothing", "of_chance"):
         settings = Settings.from_options({**few, "start_matcher": f"{stand_in[0]}:{matcher}"})
-        with_proposals = run(*files, settings)
+        with_proposals = register_pair(*files, settings)
         np.testing.assert_array_equal(with_proposals.tie_points.target_px, without.tie_points.target_px)
 
 
@@ -115,14 +115,14 @@ def test_a_matcher_that_fails_is_named(
 ) -> None:
     files = pair(tmp_path, np.eye(2), np.zeros(2))
     with pytest.raises(InputError, match=message):
-        run(*files, Settings(jobs=1, start_matcher=f"{stand_in[0]}:{matcher}", prealign="search"))
+        register_pair(*files, Settings(jobs=1, start_matcher=f"{stand_in[0]}:{matcher}", prealign="search"))
 
 
 @pytest.mark.parametrize("name", ["no_such_package.of_mine:match", "json:no_such_function", "json:__doc__"])
 def test_a_matcher_that_is_not_there_is_told(name: str, tmp_path: Path) -> None:
     files = pair(tmp_path, np.eye(2), np.zeros(2))
     with pytest.raises(SettingsError, match=name.partition(":")[0]):
-        run(*files, Settings(jobs=1, start_matcher=name, prealign="search"))
+        register_pair(*files, Settings(jobs=1, start_matcher=name, prealign="search"))
 
 
 @pytest.mark.parametrize("name", ["matcher", "my matcher:f", "../evil:f", 3])
@@ -135,4 +135,4 @@ def test_what_is_no_name_of_a_function_is_refused(name: object) -> None:
 def test_no_matcher_is_asked_where_nothing_may_be_searched(prealign: str, tmp_path: Path) -> None:
     files = pair(tmp_path, np.eye(2), np.zeros(2))
     options = {"jobs": 1, "features": 100, "start_matcher": "no_such:f", "prealign": prealign}
-    assert run(*files, Settings.from_options(options)).status == "registered"
+    assert register_pair(*files, Settings.from_options(options)).status == "registered"
