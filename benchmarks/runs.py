@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import Registration, register_pair
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 Array = NDArray[np.float64]

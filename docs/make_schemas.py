@@ -22,7 +22,7 @@ from pcwlad_geo.multi.stack_numbers import StackNumbers
 from pcwlad_geo.multi.watch import WatchNumbers
 from pcwlad_geo.options import OPTIONS, Settings
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.registration.prealign import Prealignment
+from pcwlad_geo.registration import Prealignment
 from pcwlad_geo.report import content
 
 FOLDER: Final = Path(__file__).resolve().parent

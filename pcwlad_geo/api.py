@@ -39,13 +39,17 @@ from pcwlad_geo.raster.arrays import (
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.trust.permissions import trusting
-from pcwlad_geo.registration.assessment import fit_pair
-from pcwlad_geo.registration.matching import match_pair
-from pcwlad_geo.registration.opening import prepare_pair
-from pcwlad_geo.registration.quality import Quality
-from pcwlad_geo.registration.result import Matches, Pair, Registration
+from pcwlad_geo.registration import (
+    Matches,
+    Pair,
+    Quality,
+    Registration,
+    conclude,
+    fit_pair,
+    match_pair,
+    prepare_pair,
+)
 from pcwlad_geo.registration.rpc import check_model
-from pcwlad_geo.registration.run import conclude
 from pcwlad_geo.report.finished import finished
 from pcwlad_geo.text import Shown
 from pcwlad_geo.tiepoints.table import TiePointTable

@@ -27,8 +27,9 @@ from pcwlad_geo.raster.rpc.ortho import requested_ortho_grids
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.vrt import write_rpc_vrt
-from pcwlad_geo.registration.inputs import check_placed, requested_grid
-from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration, correct_other_image
+from pcwlad_geo.registration import CorrectedRpc, RpcRegistration, requested_grid
+from pcwlad_geo.registration.inputs import check_placed
+from pcwlad_geo.registration.rpc import correct_other_image
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
 from pcwlad_geo.types import PathLike
 

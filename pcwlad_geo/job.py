@@ -31,7 +31,8 @@ from pcwlad_geo.raster.file_tree import file_name, plain_name
 from pcwlad_geo.raster.identity import check_unchanged
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.trust.permissions import trusting
-from pcwlad_geo.registration.inputs import band_file, check_output, resolve
+from pcwlad_geo.registration import check_output, resolve
+from pcwlad_geo.registration.inputs import band_file
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from pcwlad_geo.correction.error_statistics import Proof
     from pcwlad_geo.options import Options
     from pcwlad_geo.products.product import ProductBand
-    from pcwlad_geo.registration.result import Registration
+    from pcwlad_geo.registration import Registration
 
 Job = Literal["registered", "matched"]
 
@@ -174,7 +175,7 @@ def match_elsewhere(inputs: tuple[str, str], settings: Settings, place: Path) ->
 
     Nothing is written to `place`, which that process may not share with this one.
     """
-    from pcwlad_geo.registration.run import register_pair  # slow to load, and workers may be started before
+    from pcwlad_geo.registration import register_pair  # slow to load, and workers may be started before
 
     try:
         with trusting(settings.trust):
@@ -337,7 +338,7 @@ def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback)
     settings = job.settings
     # points of a file leave workers nothing to do
     with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
-        from pcwlad_geo.registration.run import register_pair  # slow to load
+        from pcwlad_geo.registration import register_pair  # slow to load
 
         match_only = job.command == "match"
         return register_pair(*job.inputs, settings, on_event=on_event, runner=runner, match_only=match_only)
@@ -439,7 +440,7 @@ def prove(
         inputs=[*inputs, *settings.files],
     )
     with trusting(settings.trust), place as folder, open_job_runner(settings, executor, on_event) as runner:
-        from pcwlad_geo.registration.run import prove_pair  # slow to load
+        from pcwlad_geo.registration import prove_pair  # slow to load
         from pcwlad_geo.report.content import proof_numbers, to_json
         from pcwlad_geo.report.page import proof_page
 

@@ -24,9 +24,7 @@ from benchmarks.tables import Cell, Table, at_most
 from benchmarks.timing import Cost, cheapest
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.assessment import fit_pair
-from pcwlad_geo.registration.matching import match_pair
-from pcwlad_geo.registration.opening import prepare_pair
+from pcwlad_geo.registration import fit_pair, match_pair, prepare_pair
 
 SIDE_PX: Final = 512
 BATCH_SIDE_PX: Final = 256

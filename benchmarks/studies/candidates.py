@@ -20,9 +20,7 @@ from benchmarks.speed_studies import scene_files
 from benchmarks.tables import Cell, Table, at_most
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.assessment import fit_pair
-from pcwlad_geo.registration.matching import match_pair
-from pcwlad_geo.registration.opening import prepare_pair
+from pcwlad_geo.registration import fit_pair, match_pair, prepare_pair
 
 Array = NDArray[np.float64]
 

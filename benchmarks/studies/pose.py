@@ -46,7 +46,7 @@ from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.matching.pose import poses_by_grey_values, search_pose
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import register_pair
 
 sys.path.insert(0, str(REPOSITORY / "sample_data"))
 from make_sample_data import true_displacement_px

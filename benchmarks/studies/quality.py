@@ -34,8 +34,8 @@ from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration.fitting import fit_correction
-from pcwlad_geo.registration.result import Registration
 
 Truth = Callable[[Array, Outcome | None], Array]
 """(n, 2) reference px, and what the undisplaced pair gave, to the target px where the ground is."""

@@ -15,7 +15,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX, to_gdal
 from pcwlad_geo.raster.vrt import write_rpc_vrt
-from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.registration import RpcRegistration
 
 UNDULATION_M = 29.0
 """EGM2008 above the ellipsoid at the scene."""

@@ -20,7 +20,7 @@ from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX, RpcModel, read_rpc, to_gdal
 from pcwlad_geo.raster.rpc.ortho import orthorectify
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 
 WINDOW_PX: Final = 128
 DECIMATION: Final = 4

@@ -122,8 +122,8 @@ def edit(context: typer.Context, registration: Folder, progress: o.ProgressOptio
 
 def _open(folder: Path, trust: Mapping[str, bool]) -> tuple[Editor, str]:
     from pcwlad_geo.raster.bands import Bands
+    from pcwlad_geo.registration import prepare_pair
     from pcwlad_geo.registration.editing import Editor
-    from pcwlad_geo.registration.opening import prepare_pair
     from pcwlad_geo.report.finished import read_report
 
     report = read_report(folder)

@@ -156,7 +156,7 @@ def _apply(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 
 def _applied(found: RigApplied) -> Ending:
-    from pcwlad_geo.registration.quality import GRADES
+    from pcwlad_geo.registration import GRADES
 
     counts = {status: found.count(status) for status in ("corrected", "rejected", "unusable", "failed")}
     status = next((STATUS_OF[each] for each in STATUS_OF if counts.get(each)), 0)

@@ -27,7 +27,7 @@ from pcwlad_geo.raster.grid import middle_pixel_size_m, pixel_sizes_m
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.raster.undeclared import without_undeclared
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.text import whole
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
 from pcwlad_geo.types import Float64, Index, PathLike

@@ -34,7 +34,7 @@ from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
 from pcwlad_geo.products.finding import products_found_once
 from pcwlad_geo.raster.gdal import explained
-from pcwlad_geo.registration.inputs import estimate_tile_count
+from pcwlad_geo.registration import estimate_tile_count
 from pcwlad_geo.report.finished import read_report, report_of_same_job
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import check_regular, csv_of, joined, read_text

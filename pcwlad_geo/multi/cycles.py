@@ -15,13 +15,7 @@ from pcwlad_geo.correction.error_statistics import SIGMA_90, Residuals, left_by_
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.multi.adjustment import MIN_REDUNDANCY
 from pcwlad_geo.multi.stack_pairs import StackPair
-from pcwlad_geo.registration.quality import (
-    FAIR_PX,
-    GOOD_PX,
-    GRADES,
-    QualityParameters,
-    Reason,
-)
+from pcwlad_geo.registration import FAIR_PX, GOOD_PX, GRADES, QualityParameters, Reason
 from pcwlad_geo.types import Float64
 
 MAX_CYCLES: Final = 20_000

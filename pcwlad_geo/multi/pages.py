@@ -26,8 +26,7 @@ from pcwlad_geo.multi.stack_result import Stack, StackImage
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import NAMES
 from pcwlad_geo.raster.file_tree import file_name
-from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Prealignment, Registration
 from pcwlad_geo.report import figures
 from pcwlad_geo.report.page import Answer, Headline, State, page_environment, templates_of
 from pcwlad_geo.report.views import pair_views, read_backdrop

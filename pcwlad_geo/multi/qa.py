@@ -255,7 +255,7 @@ def _why_unreadable(band: Band) -> str | None:
 def _match(
     reference: Band, target: Band, settings: Settings, on_event: EventCallback, runner: Runner
 ) -> PairResult:
-    from pcwlad_geo.registration.run import register_pair  # slow to load: the workers start meanwhile
+    from pcwlad_geo.registration import register_pair  # slow to load: the workers start meanwhile
 
     own = replace(
         settings,

@@ -55,7 +55,7 @@ from pcwlad_geo.raster.rpc.model import RpcSource, read_rpc, to_gdal, write_rpc_
 from pcwlad_geo.raster.rpc.ortho import PLACED_LATTICE, RpcPlacement, ground_grid, ortho_grid, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import write_rpc_vrt
-from pcwlad_geo.registration.inputs import requested_grid
+from pcwlad_geo.registration import requested_grid
 from pcwlad_geo.registration.rpc import check_model, corrected_rpc, ground_crs
 from pcwlad_geo.report.finished import FinishedRegistration, read_report
 from pcwlad_geo.tiepoints.readers import read_point_file

@@ -28,7 +28,7 @@ from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.vrt import write_corrected_vrt
-from pcwlad_geo.registration.inputs import requested_grid
+from pcwlad_geo.registration import requested_grid
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.types import PathLike
 

@@ -24,25 +24,26 @@ from pcwlad_geo.multi.stack_frame import StackFrame
 from pcwlad_geo.options import SETTINGS, Settings
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.raster.grid import middle_pixel_size_m
-from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
-from pcwlad_geo.registration.inputs import estimate_tile_count
-from pcwlad_geo.registration.motions import Motion, MotionParameters, describe_motions
-from pcwlad_geo.registration.positions import position_conflict
-from pcwlad_geo.registration.quality import (
+from pcwlad_geo.registration import (
     FAIR_PX,
     GOOD_PX,
     GRADES,
     Grade,
+    Motion,
     QualityParameters,
-    displaced_otherwise,
+    estimate_tile_count,
 )
+from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
+from pcwlad_geo.registration.motions import MotionParameters, describe_motions
+from pcwlad_geo.registration.positions import position_conflict
+from pcwlad_geo.registration.quality import displaced_otherwise
 from pcwlad_geo.report.finished import NUMBERS, read_report, report_of_same_job
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Bool, Float64
 
 if TYPE_CHECKING:
-    from pcwlad_geo.registration.result import Registration
+    from pcwlad_geo.registration import Registration
 
 PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""

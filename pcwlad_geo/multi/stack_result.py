@@ -15,7 +15,7 @@ from pcwlad_geo.multi.rpc_block import BlockAdjustment, HoldOutCheck
 from pcwlad_geo.multi.stack_inputs import StackInput
 from pcwlad_geo.multi.stack_pairs import StackPair
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.registration import RpcRegistration
 from pcwlad_geo.requirements import RequirementResult
 
 UNGRADED: Final = StackQuality("good", (), 0.0)

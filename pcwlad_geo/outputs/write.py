@@ -33,7 +33,7 @@ from pcwlad_geo.raster.rpc.model import RpcModel, to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.warping import scratch_folder, sink
-from pcwlad_geo.registration.inputs import requested_grid
+from pcwlad_geo.registration import requested_grid
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.format import PointRasters, TiePointFormat
 from pcwlad_geo.tiepoints.geopackage import write_geopackage
@@ -42,7 +42,7 @@ from pcwlad_geo.types import Float64, Index
 
 if TYPE_CHECKING:  # slow to load; workers are started before
     from pcwlad_geo.correction.selection import Selection
-    from pcwlad_geo.registration.result import Registration
+    from pcwlad_geo.registration import Registration
     from pcwlad_geo.report.content import Report
     from pcwlad_geo.report.page import Drawings
     from pcwlad_geo.tiepoints.table import TiePointTable

@@ -36,13 +36,18 @@ from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import RasterInfo, bands_of
-from pcwlad_geo.registration.inputs import INLINE, InputFile
-from pcwlad_geo.registration.motions import Motion
-from pcwlad_geo.registration.point_file import Origin
-from pcwlad_geo.registration.prealign import Prealignment
-from pcwlad_geo.registration.quality import Grade
-from pcwlad_geo.registration.result import PairGeometry, Registration, RegistrationStatus
-from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.registration import (
+    Grade,
+    InputFile,
+    Motion,
+    Origin,
+    PairGeometry,
+    Prealignment,
+    Registration,
+    RegistrationStatus,
+    RpcRegistration,
+)
+from pcwlad_geo.registration.inputs import INLINE
 from pcwlad_geo.report.statistics import (
     DIGITS,
     GROUPS,

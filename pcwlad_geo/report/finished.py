@@ -25,9 +25,15 @@ from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.trust.permissions import trusting
-from pcwlad_geo.registration.inputs import Inputs, grid_request, identify_inputs, requested_grid, resolve
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.rpc import CorrectedRpc, RpcRegistration
+from pcwlad_geo.registration import (
+    CorrectedRpc,
+    Inputs,
+    Registration,
+    RpcRegistration,
+    requested_grid,
+    resolve,
+)
+from pcwlad_geo.registration.inputs import grid_request, identify_inputs
 from pcwlad_geo.report.content import SCHEMA_VERSION, Report
 from pcwlad_geo.text import mismatch, plain, read_json
 

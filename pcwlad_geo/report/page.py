@@ -29,8 +29,14 @@ from pcwlad_geo.correction.error_statistics import (
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Grade, QualityParameters
-from pcwlad_geo.registration.result import Registration, RegistrationStatus
+from pcwlad_geo.registration import (
+    FAIR_PX,
+    GOOD_PX,
+    Grade,
+    QualityParameters,
+    Registration,
+    RegistrationStatus,
+)
 from pcwlad_geo.report import figures as draw
 from pcwlad_geo.report.charts import data_uri
 from pcwlad_geo.report.content import GroupStatistics, Report, raster_entry, reference_entry

@@ -22,8 +22,8 @@ from pcwlad_geo.raster.grid import pixel_sizes_m
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import at_mean_height
 from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration.match_record import GROUND, MatchRecord
-from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.requirements import Requirement, RequirementResult, tells_accuracy, value_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64

@@ -19,7 +19,7 @@ from pcwlad_geo.raster.grid import Window, jacobian, map_px
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview
 from pcwlad_geo.raster.view import Patch, View
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.statistics import KEPT
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Grade, QualityParameters
+from pcwlad_geo.registration import FAIR_PX, GOOD_PX, Grade, QualityParameters
 from pcwlad_geo.rigs.capture_raster import CaptureTask, write_capture
 from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
 from pcwlad_geo.rigs.inspection import BadCaptureError, check_sharpness, measure_sharpness, panel_shown

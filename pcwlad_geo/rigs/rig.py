@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Grade
+from pcwlad_geo.registration import FAIR_PX, GOOD_PX, Grade
 from pcwlad_geo.rigs.inspection import Sharpness
 from pcwlad_geo.rigs.lens import LENS_PARAMETERS, Lens, lattice
 from pcwlad_geo.text import read_json

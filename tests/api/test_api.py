@@ -22,7 +22,7 @@ from rasterio.vrt import WarpedVRT
 import pcwlad_geo as pg
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import register_pair
 from pcwlad_geo.tiepoints.table import COLUMNS
 from tests.rpc_scene import UNDULATION_M
 from tests.rpc_scene import write_pair as write_rpc_pair

@@ -18,7 +18,7 @@ from pcwlad_geo.cli.app import run
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product, native_px_m, of_one_product
-from pcwlad_geo.registration.inputs import resolve
+from pcwlad_geo.registration import resolve
 from pcwlad_geo.tiepoints.readers import FORMATS, read_point_file
 from tests.scenes import make_grid, render
 

@@ -24,11 +24,9 @@ from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import OnExecutor, _inspection, connected
 from pcwlad_geo.options import Settings
+from pcwlad_geo.registration import Registration, match_pair, prepare_pair, register_pair
 from pcwlad_geo.registration.judge import JudgeParameters
-from pcwlad_geo.registration.matching import PairParameters, match_pair
-from pcwlad_geo.registration.opening import prepare_pair
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration.matching import PairParameters
 from pcwlad_geo.registration.scene.parameters import SceneParameters
 from tests.cli.process import command, environment
 from tests.cluster import Cluster, cluster

@@ -20,7 +20,7 @@ from pcwlad_geo.cli.app import run
 from pcwlad_geo.correction.models import Correction, SplineCorrection, SplineGrid
 from pcwlad_geo.events import Event
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from tests.registrations import make_registration, of_files, write_pair
 
 SPLINE = SplineCorrection(

@@ -19,8 +19,7 @@ from scipy import ndimage
 import pcwlad_geo
 from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import Registration, register_pair
 from tests.pictures import no_pictures
 from tests.scenes import Array, make_grid, render, write
 from tests.tables import read_table

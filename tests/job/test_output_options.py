@@ -23,7 +23,7 @@ from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.multi.batches import read_pairs
 from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from tests.registrations import make_registration, of_files, write_pair
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, make_grid, render, write
 

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 import pcwlad_geo
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.statistics import coverage_of
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.table import place

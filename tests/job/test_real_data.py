@@ -12,8 +12,7 @@ import rasterio
 
 import pcwlad_geo
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import Registration, register_pair
 from tests.scenes import Array, write
 
 FEW: Any = {"features": 80}

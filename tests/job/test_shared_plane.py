@@ -23,7 +23,7 @@ from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.matching_grid import plan_views, share_plane
 from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.inputs import check_output
+from pcwlad_geo.registration import check_output
 from tests.scenes import make_grid, render, write
 
 SMALL: Any = {"template": 61, "window": 41, "features": 150, "model": "shift"}

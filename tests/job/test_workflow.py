@@ -22,7 +22,7 @@ from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs import write as writing
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from tests.patience import PATIENCE_S
 from tests.registrations import SHIFT_PX, make_registration, of_files, write_pair
 from tests.tables import read_table

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.error_statistics import LEAST_COMMON_PX
 from pcwlad_geo.matching.jitter import jitter_px
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import register_pair
 from tests.scenes import make_grid, render, write
 
 Array = NDArray[np.float64]

@@ -20,10 +20,10 @@ from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.multi.qa import write_results
 from pcwlad_geo.multi.qa_result import QaResult
 from pcwlad_geo.outputs.folder import OutputFolder
+from pcwlad_geo.registration import Registration
+from pcwlad_geo.registration import register_pair as run_pair
 from pcwlad_geo.registration.proof.parameters import ProofParameters
 from pcwlad_geo.registration.proof.sites import set_up
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import register_pair as run_pair
 from pcwlad_geo.report.page import check_pdf
 from tests.multi.measured_bands import schema_file
 from tests.scenes import make_grid, render, write

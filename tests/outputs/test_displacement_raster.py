@@ -15,7 +15,7 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.outputs import write as maps
 from pcwlad_geo.raster.grid import Grid, apply
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from tests.registrations import make_registration, without_crs
 
 MATRIX = np.array([[1.001, 0.002, 35.0], [-0.001, 0.999, -25.0]])

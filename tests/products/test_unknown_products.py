@@ -10,7 +10,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.bands import Wanted, expand
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product, no_product
-from pcwlad_geo.registration.inputs import resolve
+from pcwlad_geo.registration import resolve
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.raster.undeclared import without_collar
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import register_pair
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

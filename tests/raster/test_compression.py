@@ -15,7 +15,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.compression import find_blocks, with_compression_blocks
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import register_pair
 from pcwlad_geo.types import Bool
 
 Bytes = NDArray[np.uint8]

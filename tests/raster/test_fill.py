@@ -17,7 +17,7 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import register_pair
 from tests.scenes import make_grid, render
 from tests.scenes import write as write_as
 

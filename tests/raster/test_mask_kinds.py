@@ -15,7 +15,7 @@ from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.masks import accepted, kind_of
 from pcwlad_geo.raster.pixels import valid_in_mask_file
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration import register_pair
 from tests.scenes import make_grid, render
 from tests.scenes import write as write_scene
 

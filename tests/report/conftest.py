@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from tests.pictures import text_alone
 from tests.registrations import make_registration
 

@@ -8,8 +8,8 @@ import pytest
 
 from pcwlad_geo.matching import Candidates
 from pcwlad_geo.matching.keypoints import OUTCOMES
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration.match_record import GROUND, MatchRecord
-from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.report.content import summarise
 from pcwlad_geo.report.figures import KINDS, coverage_figure, missing_kinds
 from pcwlad_geo.report.statistics import REASONS, Coverage, coverage_of

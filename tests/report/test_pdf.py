@@ -18,7 +18,7 @@ import pytest
 import pcwlad_geo
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.output_format import verify_output
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.content import summarise
 from pcwlad_geo.report.page import check_pdf, compose, report_page, to_pdf
 from pcwlad_geo.report.views import checkered

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pcwlad_geo.cli.job import Outcome
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.report import page
 from pcwlad_geo.report.content import summarise
 from pcwlad_geo.report.statistics import judge_requirements

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.correction.selection import choose
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.content import error_statistics, summarise, to_json
 from pcwlad_geo.report.statistics import KEPT
 

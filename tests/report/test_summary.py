@@ -12,8 +12,7 @@ from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.models import from_dict
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster.identity import FileIdentity
-from pcwlad_geo.registration.inputs import InputFile
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import InputFile, Registration
 from pcwlad_geo.report.content import summarise, to_json
 from pcwlad_geo.text import plain
 from tests.registrations import json_of

@@ -14,7 +14,7 @@ from pcwlad_geo.correction.models import AffineCorrection, Correction, Projectiv
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import Patch, View
-from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration import Registration
 from pcwlad_geo.report import views
 from pcwlad_geo.report.views import SIDE_PX, pair_views, read_backdrop, stretched
 from tests.registrations import SHIFT_PX, of_files

@@ -1,0 +1,46 @@
+from .assessment import fit_pair
+from .inputs import InputFile, Inputs, check_output, estimate_tile_count, requested_grid, resolve
+from .judge import Verdict
+from .matching import match_pair
+from .motions import Motion
+from .opening import prepare_pair
+from .point_file import Origin
+from .prealign import Pose, Prealignment
+from .quality import FAIR_PX, GOOD_PX, GRADES, Grade, Quality, QualityParameters, Reason
+from .result import Matches, Pair, PairGeometry, Registration, RegistrationStatus
+from .rpc import CorrectedRpc, RpcRegistration
+from .run import conclude, prove_pair, register_pair
+
+__all__ = [
+    "FAIR_PX",
+    "GOOD_PX",
+    "GRADES",
+    "CorrectedRpc",
+    "Grade",
+    "InputFile",
+    "Inputs",
+    "Matches",
+    "Motion",
+    "Origin",
+    "Pair",
+    "PairGeometry",
+    "Pose",
+    "Prealignment",
+    "Quality",
+    "QualityParameters",
+    "Reason",
+    "Registration",
+    "RegistrationStatus",
+    "RpcRegistration",
+    "Verdict",
+    "check_output",
+    "conclude",
+    "estimate_tile_count",
+    "fit_pair",
+    "match_pair",
+    "prepare_pair",
+    "prove_pair",
+    "register_pair",
+    "requested_grid",
+    "resolve",
+]
