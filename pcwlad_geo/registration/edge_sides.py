@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import Patch

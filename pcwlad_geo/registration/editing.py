@@ -11,9 +11,8 @@ import numpy as np
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.execution.runner import one_library_thread
+from pcwlad_geo.matching import MatchSettings, match_arrays
 from pcwlad_geo.matching.first_pass import margin_px
-from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.raster.view import file_px_per_px

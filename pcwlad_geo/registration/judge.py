@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.estimation.solving import least_squares
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.chance import evidence_against_chance
 from pcwlad_geo.matching.epipolar import EPIPOLAR
-from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.raster.compression import BLOCK_PX
 from pcwlad_geo.types import Bool, Float64, Index
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching import Candidates, MatchSettings
 from pcwlad_geo.matching.gaps import narrow_gaps
-from pcwlad_geo.matching.keypoints import Candidates
-from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.source import has_quick_overview

@@ -11,8 +11,9 @@ from pcwlad_geo.correction.points import thin
 from pcwlad_geo.correction.selection import COMMON_SIGMA
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import Runner, one_library_thread
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.clusters import contradicted_clusters
-from pcwlad_geo.matching.types import FIRST_WINDOW_PX, TiePoints
+from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.raster.matching_grid import (
     ViewPair,
 )

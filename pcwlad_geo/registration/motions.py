@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.chance import evidence_against_chance
 from pcwlad_geo.matching.epipolar import EPIPOLAR
-from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.registration.judge import JudgeParameters, common_plane
 from pcwlad_geo.types import Bool, Float64, Index
 

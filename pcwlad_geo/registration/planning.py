@@ -14,11 +14,12 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from pcwlad_geo.matching import MatchSettings
 from pcwlad_geo.matching.gaps import fill_smoothly, narrow_gaps
 from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
 from pcwlad_geo.matching.rounds import in_rounds
-from pcwlad_geo.matching.types import OTHER_WINDOWS_PX, MatchSettings
+from pcwlad_geo.matching.types import OTHER_WINDOWS_PX
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.error_statistics import Accuracy, Proof
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection
+from pcwlad_geo.matching import Scales
 from pcwlad_geo.matching.epipolar import EpipolarGeometry, plane_residual_px
-from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.grid import Grid

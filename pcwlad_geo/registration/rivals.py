@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from pcwlad_geo.matching import search_shift
 from pcwlad_geo.matching.repeats import Rival, rivals_of
-from pcwlad_geo.matching.shift_search import search_shift
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.prealign import RADIUS_AFTER_SEARCH_PX, SEARCH_ERROR_PX, StartingAlignment
 from pcwlad_geo.registration.quality import FAIR_PX, Doubt

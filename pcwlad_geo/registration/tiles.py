@@ -11,18 +11,25 @@ from typing import Final, Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.first_pass import Core, margin_px, match_candidates
+from pcwlad_geo.matching import (
+    Candidates,
+    FieldGuide,
+    Image,
+    MatchSettings,
+    Scales,
+    TiePoints,
+    match_candidates,
+    rematch_with,
+)
+from pcwlad_geo.matching.first_pass import Core, margin_px
 from pcwlad_geo.matching.grey_values import Tones
-from pcwlad_geo.matching.guidance import FieldGuide
 from pcwlad_geo.matching.jitter import displacement_by_stripes
-from pcwlad_geo.matching.keypoints import Candidates
 from pcwlad_geo.matching.local_correlation import displacement_by_surroundings
 from pcwlad_geo.matching.lost_candidates import Lost, try_again
 from pcwlad_geo.matching.noise import Noise
-from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, prepare
-from pcwlad_geo.matching.second_pass import displacement_by_windows, rematch_with
-from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
-from pcwlad_geo.matching.windows import Scales
+from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair, prepare
+from pcwlad_geo.matching.second_pass import displacement_by_windows
+from pcwlad_geo.matching.types import TRAITS
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import Patch, View
 from pcwlad_geo.types import Float64, Index

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.registration.judge import JudgeParameters, Verdict, judge
 
 LEAST_POINTS = JudgeParameters().least_points

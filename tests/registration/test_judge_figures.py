@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.registration.judge import JudgeParameters, Verdict, judge
 
 WINDOW_PX, CELL_PX = 40, 30.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
+from pcwlad_geo.matching import Image
+from pcwlad_geo.matching.prepare import ChannelPair, prepare
 from pcwlad_geo.registration.tiles import TileCache
 
 NBYTES = 64 * 64 * 2 * (6 * 4 + 1)

@@ -11,7 +11,8 @@ import pytest
 import rasterio
 from rasterio.enums import Resampling
 
-from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
+from pcwlad_geo.matching import Candidates
+from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import source
 from pcwlad_geo.raster.matching_grid import plan_views

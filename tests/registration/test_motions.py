@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.registration.motions import (

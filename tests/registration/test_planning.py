@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching import MatchSettings, TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views

@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pcwlad_geo.matching import MatchSettings, Scales, guide_by_field
 from pcwlad_geo.matching.grey_values import Tones
-from pcwlad_geo.matching.guidance import guide_by_field
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.noise import Noise
-from pcwlad_geo.matching.types import MatchSettings
-from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe

@@ -44,12 +44,12 @@ STILL_INNER = {
 """Names of inner modules that code outside uses: for scenes and tiles, the initial alignment, perspective
 images, rigs, reports, stacks, and tests and benchmarks of parts. The lists may only become shorter."""
 MOST_INNER = {"matching": 87, "registration": 27}
-MOST_FRONT = {"matching": 15, "registration": 32}
+MOST_FRONT = {"matching": 15, "registration": 31}
 OF_THE_ROOM = {
     "matching": ("pcwlad_geo/matching", "tests/matching", "tests/oracles"),
     "registration": ("pcwlad_geo/registration", "tests/registration"),
 }
-LATER = ("pcwlad_geo/registration", "tests/registration")
+LATER = ("pcwlad_geo/registration/prealign.py", "tests/registration/test_pose.py")
 """These import names of the front from inner modules, too, until their own modules are cut."""
 
 

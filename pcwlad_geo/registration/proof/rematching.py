@@ -9,12 +9,11 @@ import numpy as np
 from pcwlad_geo.correction.error_statistics import (
     Move,
 )
-from pcwlad_geo.matching.first_pass import Core, match_candidates
-from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
+from pcwlad_geo.matching import FieldGuide, Image, TiePoints, guide_by_field, match_candidates, rematch_with
+from pcwlad_geo.matching.first_pass import Core
 from pcwlad_geo.matching.outliers import consistent_points
-from pcwlad_geo.matching.prepare import ChannelPair, Image, PreparedPair, prepare
-from pcwlad_geo.matching.second_pass import rematch_with
-from pcwlad_geo.matching.types import TRAITS, TiePoints, to_index
+from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair, prepare
+from pcwlad_geo.matching.types import TRAITS, to_index
 from pcwlad_geo.registration.proof.sites import ProofSetup, Site
 from pcwlad_geo.registration.tiles import TileJob
 from pcwlad_geo.types import Float64, Index

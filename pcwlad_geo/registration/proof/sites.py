@@ -12,9 +12,8 @@ from pcwlad_geo.correction.error_statistics import (
     Move,
 )
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching import MatchSettings, Scales
 from pcwlad_geo.matching.noise import noise_level
-from pcwlad_geo.matching.types import MatchSettings
-from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.view import Patch, file_px_per_px
 from pcwlad_geo.registration.proof.parameters import ProofParameters

@@ -14,11 +14,10 @@ from pcwlad_geo.correction.error_statistics import (
     float_pair,
 )
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.matching.guidance import FieldGuide
+from pcwlad_geo.matching import FieldGuide, TiePoints, rematch_with
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import InitialEstimate, refine
-from pcwlad_geo.matching.second_pass import rematch_with
-from pcwlad_geo.matching.types import TiePoints, to_index
+from pcwlad_geo.matching.types import to_index
 from pcwlad_geo.registration.proof.errors import finite_mean
 from pcwlad_geo.registration.proof.rematching import MatchedAgain
 from pcwlad_geo.registration.proof.sites import ProofSetup

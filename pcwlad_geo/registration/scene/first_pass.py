@@ -10,8 +10,8 @@ import numpy as np
 from pcwlad_geo.correction.selection import COMMON_SIGMA
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import JobLog
-from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
-from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.matching import Candidates, TiePoints
+from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.registration.planning import Plan
 from pcwlad_geo.registration.scene.parameters import SceneContext
 from pcwlad_geo.registration.tiles import KEPT_BYTES, TileJob, TileResult, match_tile

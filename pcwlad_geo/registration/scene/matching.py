@@ -8,10 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from pcwlad_geo.matching import Scales, TiePoints
 from pcwlad_geo.matching.epipolar import EPIPOLAR, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.outliers import consistent_points
-from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.registration.judge import Verdict, agree_closely, judge
 from pcwlad_geo.registration.match_record import MatchRecord, record_matching
 from pcwlad_geo.registration.motions import Motion, motions_of, patches

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pcwlad_geo.matching.guidance import GUIDANCE, FieldGuide, Predictor
+from pcwlad_geo.matching import FieldGuide, MatchSettings, TiePoints
+from pcwlad_geo.matching.guidance import GUIDANCE, Predictor
 from pcwlad_geo.matching.lost_candidates import Lost, can_try_again, expect_lost
 from pcwlad_geo.matching.outliers import confirmed
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from pcwlad_geo.registration.scene.first_pass import FirstPass
 from pcwlad_geo.types import Bool, Index
 

@@ -9,14 +9,12 @@ import numpy as np
 
 from pcwlad_geo.events import EventCallback, only_warnings
 from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.matching import MatchSettings, Scales, TiePoints, guide_by_field
 from pcwlad_geo.matching.calibration import calibrate
 from pcwlad_geo.matching.epipolar import on_their_lines
 from pcwlad_geo.matching.field import Prediction, Surface, predict
-from pcwlad_geo.matching.guidance import guide_by_field
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.second_pass import matched_again
-from pcwlad_geo.matching.types import MatchSettings, TiePoints
-from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.registration.motions import other_displacement
 from pcwlad_geo.registration.scene.first_pass import FirstPass, warn_of_failures
 from pcwlad_geo.registration.scene.parameters import SceneContext

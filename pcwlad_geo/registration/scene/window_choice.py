@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 
 from pcwlad_geo.events import only_warnings
-from pcwlad_geo.matching.guidance import FieldGuide
+from pcwlad_geo.matching import FieldGuide, Scales, TiePoints
 from pcwlad_geo.matching.jitter import jitter_px
-from pcwlad_geo.matching.types import TiePoints
-from pcwlad_geo.matching.windows import WINDOWS, Scales, WindowErrors, choose_scales, window_sample
+from pcwlad_geo.matching.windows import WINDOWS, WindowErrors, choose_scales, window_sample
 from pcwlad_geo.registration.motions import share_displaced
 from pcwlad_geo.registration.scene.first_pass import FirstPass
 from pcwlad_geo.registration.scene.parameters import SceneContext
