@@ -25,7 +25,7 @@ from pcwlad_geo.types import Float64
 
 
 def error_map(error: Float64, setup: ProofSetup, matches: Matches) -> tuple[PointEntry, ...]:
-    """Return the errors of each point that was matched after a move."""
+    """Return the errors of each point that was matched after a move, from the (k, n, 2) `error`."""
     places = matches.tie_points.reference_px[setup.rows].tolist()
     entries = []
     for number, (row, (col_px, row_px)) in enumerate(zip(setup.rows.tolist(), places, strict=True)):
@@ -35,10 +35,10 @@ def error_map(error: Float64, setup: ProofSetup, matches: Matches) -> tuple[Poin
 
 
 def scatter_ratio_of(matches: Matches, setup: ProofSetup, centred: Float64) -> float:
-    """Return the scatter of the tie points over that of their (k, n, 2) errors, both about an affine.
+    """Return the scatter of the tie points over that of their errors, both about an affine.
 
-    That of the tie points contains their errors, and displacements that are not affine. An affine also
-    follows some of the errors, as windows are wide.
+    The (k, n, 2) errors are `centred`. The scatter of the tie points contains them, and displacements that
+    are not affine. An affine also follows some of the errors, as windows are wide.
     """
     table, by = matches.tie_points.select("matched"), setup.parameters
     squares = []
@@ -114,7 +114,7 @@ def errors_by_texture(setup: ProofSetup, before: MatchedAgain, errors: PointErro
 
 
 def sigma_entry(error: Float64, sigma_px: Float64, scatter_ratio: float = 1.0) -> SigmaEntry:
-    """Compare (k, n, 2) errors with the (n, 2) sigmas of their points.
+    """Compare errors, the (k, n, 2) `error`, with the sigmas of their points, the (n, 2) `sigma_px`.
 
     The tie points scatter `scatter_ratio` times as much as the errors do.
     """

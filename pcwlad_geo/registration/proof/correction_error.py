@@ -22,7 +22,10 @@ from pcwlad_geo.types import Bool, Float64
 def correction_error(
     error: Float64, bias: Float64, setup: ProofSetup, matches: Matches, fit: AssessedFit, effort: Effort
 ) -> CorrectionEntry | None:
-    """Fit the model of the correction to the errors of each move, and return the error propagated into it."""
+    """Fit the model of the correction to the errors of each move, and return the error propagated into it.
+
+    The (k, n, 2) `error` are those of the points, with the (2,) `bias` (col, row) of all, target px.
+    """
     table, name = matches.tie_points, fit.fitted.correction.name
     everywhere = table.predicted_px[table.status == "matched"]
     footprint = matches.window_px * float(setup.unit_px[0])

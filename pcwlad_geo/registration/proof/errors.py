@@ -51,13 +51,13 @@ class PointErrors:
         return replace(self, error_px=centre + factor * (self.error_px - centre))
 
     def part(self, mask: Bool | slice, of_points: bool = False) -> PointErrors:
-        """Return the errors of some moves, or of some points."""
+        """Return the errors of some moves, by the (k,) `mask`, or of some points, by an (n,) one."""
         index = (slice(None), mask) if of_points else mask
         return replace(self, error_px=self.error_px[index], phase=self.phase[index])
 
 
 def finite_mean(values: Float64, axis: int | tuple[int, ...]) -> Float64:
-    """Return the mean of the finite values; NaN where there are none."""
+    """Return the mean of the finite values of the (..., n) `values`; NaN where there are none."""
     return np.asarray(np.ma.masked_invalid(values).mean(axis).filled(np.nan), np.float64)
 
 
@@ -139,7 +139,7 @@ def locking(errors: PointErrors) -> tuple[Float64, Float64]:
 
 
 def scatter(errors: Float64) -> Float64:
-    """Return the (2,) standard deviation of (k, n, 2) errors about the mean of each move."""
+    """Return the (2,) standard deviation of the (k, n, 2) `errors` about the mean of each move."""
     about = errors - finite_mean(errors, 1)[:, None]
     count = max(np.isfinite(errors).all(axis=2).sum(axis=1).mean(), 2.0)
     return np.asarray(np.sqrt(finite_mean(about**2, (0, 1)) * count / (count - 1)))

@@ -58,7 +58,7 @@ class FirstPass:
         return (self.grey_error_px / COMMON_SIGMA) ** 2 if by_tones else 0.0
 
     def without(self, recovered: Index) -> FirstPass:
-        """Return the pass without those lost candidates that were `recovered` later."""
+        """Return the pass without the (k,) lost candidates that were `recovered` later."""
         is_recovered = np.zeros(len(self.lost), bool)
         is_recovered[recovered] = True
         results = []

@@ -50,7 +50,7 @@ class SecondPass:
     """See `motions.other_displacement`; None where too few points lie at it."""
 
     def part(self, mask: Bool) -> SecondPass:
-        """Return those of the (n,) mask."""
+        """Return those of the (n,) `mask`."""
         names = "points", "match_of", "lost_of", "recovered"
         return replace(self, **{name: getattr(self, name)[mask] for name in names})
 

@@ -42,7 +42,7 @@ def choose_windows(
 ) -> WindowChoice:
     """Choose the windows of the second pass by a sample of the points, whose tiles are spread over the scene.
 
-    The `points` are the consistent ones, each with its tile and its part of the guide. The (2,) `other_px`
+    The `points` are the consistent ones, in the (n,) tiles `tile_of`, with their guide. The (2,) `other_px`
     (col, row) is a displacement beside their own of which the share of the points is wanted.
     """
     settings = first.jobs[0].settings
