@@ -222,9 +222,9 @@ def common_plane(
 ) -> tuple[Float64, float]:
     """Return the plane through the displacements of the consistent points, and of how many it is one.
 
-    These are the (n,) mask `consistent`. The plane is the (n, 2) displacement at all matches. The number counts the planes that tilt no more and
-    differ by `agree_px` at the border: the best of many planes agrees with more cells by chance, so a plane
-    that is nearly level says more than one that is steep.
+    These are the (n,) mask `consistent`. The plane is the (n, 2) displacement at all matches. The number
+    counts the planes that tilt no more and differ by `agree_px` at the border: the best of many planes agrees
+    with more cells by chance, so a plane that is nearly level says more than one that is steep.
     """
     xy = matches.reference_xy_px - matches.reference_xy_px[consistent].mean(axis=0)
     design = np.c_[np.ones(len(xy)), xy]
