@@ -20,11 +20,11 @@ if __name__ == "__main__":
                 red, thermal, out_dir=folder + "/shared", tile_size=256, executor=workers
             )
         image = read(red)
-    here, there = (each.tie_points.select("matched") for each in (alone, shared))
-    apart = np.abs(here.target_px - there.target_px).max()
-    titles = [f"one process: {len(here)} tie points", f"two dask workers: {len(there)} tie points"]
+    single, clustered = (result.tie_points.select("matched") for result in (alone, shared))
+    apart = np.abs(single.target_px - clustered.target_px).max()
+    titles = [f"one process: {len(single)} tie points", f"two dask workers: {len(clustered)} tie points"]
     figure, axes = panels(titles)
-    for axis, points in zip(axes, (here, there), strict=True):
+    for axis, points in zip(axes, (single, clustered), strict=True):
         show(axis, image)
         axis.plot(*points.reference_px.T, ".", ms=3, color=ORANGE)
     figure.supxlabel(f"largest difference of a coordinate: {apart:g} px", fontsize=9)

@@ -27,10 +27,13 @@ with tempfile.TemporaryDirectory() as folder:
     after = Path(folder) / "out" / "new_registered.tif"
     differences = [read(path, like=old) - read(old) for path in (new, after)]
 
-told = [f"{np.nanmedian(each):.2f} m, scatter {np.nanstd(each):.2f} m" for each in differences]
-figure, axes = panels([f"before: {told[0]}", f"after: {told[1]}"])
+titles = [
+    f"{name}: median {np.nanmedian(difference):.1f} m, scatter {np.nanstd(difference):.1f} m"
+    for name, difference in zip(("before", "after"), differences, strict=True)
+]
+figure, axes = panels(titles)
 for axis, difference in zip(axes, differences, strict=True):
     drawn = axis.imshow(difference, cmap="RdBu", vmin=BIAS_M - 15, vmax=BIAS_M + 15)
     axis.set(xticks=[], yticks=[])
-figure.colorbar(drawn, ax=axes, label="new less old heights, m", shrink=0.7)
+figure.colorbar(drawn, ax=axes, label="new minus old heights, m", shrink=0.7)
 save(figure, __file__)

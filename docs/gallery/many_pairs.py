@@ -28,7 +28,7 @@ figure.set_size_inches(6, 2.6)
 for place, row in enumerate(rows):
     rmse = float(row["rmse_px"] or 0)
     axis.barh(place, rmse, color=ORANGE)
-    text = f" {rmse:.2f} px" if row["status"] == "registered" else f" {row['status']}: no raster written"
+    text = f" {rmse:.2f} px" if row["status"] == "registered" else " refused: no raster"
     axis.text(rmse, place, text, va="center")
 axis.set_yticks(range(len(SCENES)), list(SCENES))
 axis.set(xlim=(0, 0.3), ylim=(3.6, -0.6))

@@ -12,10 +12,10 @@ sys.path.insert(0, str(SAMPLE))
 from make_sample_data import true_displacement_px
 
 with tempfile.TemporaryDirectory() as folder:
-    found = pcwlad_geo.match_files(
+    result = pcwlad_geo.match_files(
         SAMPLE / "landsat_b4.tif", SAMPLE / "landsat_b10.tif", out_dir=folder + "/out"
     )
-points = found.tie_points.select("matched")
+points = result.tie_points.select("matched")
 
 truth = true_displacement_px(points.predicted_px)
 rmse = np.sqrt(((points.displacement_px - truth) ** 2).sum(axis=1).mean())

@@ -1,7 +1,6 @@
 """Radar over an optical image of a coast with nothing on it but forest and sea: refused, with the reason."""
 
 import tempfile
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +23,10 @@ with tempfile.TemporaryDirectory() as folder:
     try:
         pcwlad_geo.register(optical, radar, out_dir=Path(folder) / "out")
     except pcwlad_geo.RegistrationRejectedError as error:
-        outcome = f"exit status 3: {error}"
+        outcome = "refused: " + str(error).partition(": ")[0]
     images = read(optical), read(radar)
 figure, axes = panels(["reference: red light", "target: radar, 4 looks"], height=4.6)
 for axis, image in zip(axes, images, strict=True):
     show(axis, image, np.s_[60:220, 90:250])
-figure.supxlabel(textwrap.shorten(outcome, 215), fontsize=9, wrap=True)
+figure.supxlabel(outcome, fontsize=9, wrap=True)
 save(figure, __file__)

@@ -1,7 +1,6 @@
 """Two images of different places: refused, with the reason, instead of a wrong raster."""
 
 import tempfile
-import textwrap
 from pathlib import Path
 
 from scene import panels, read, save, show, write_band
@@ -15,11 +14,11 @@ with tempfile.TemporaryDirectory() as folder:
     try:
         pcwlad_geo.register(red, elsewhere, out_dir=Path(folder) / "out")
     except pcwlad_geo.RegistrationRejectedError as error:
-        outcome = f"exit status 3: {error}"
+        outcome = "refused: " + str(error).partition(": ")[0]
     images = read(red), read(elsewhere)
 
 figure, axes = panels(["reference", "target: another place"], height=4.6)
 for axis, image in zip(axes, images, strict=True):
     show(axis, image)
-figure.supxlabel(textwrap.shorten(outcome, 215), fontsize=9, wrap=True)
+figure.supxlabel(outcome, fontsize=9, wrap=True)
 save(figure, __file__)

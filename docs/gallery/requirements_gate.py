@@ -23,7 +23,7 @@ with tempfile.TemporaryDirectory() as folder:
 figure, (axis,) = panels(["coverage of the scene by tie points; required: 0.9"], height=2.4)
 figure.set_size_inches(6.5, 2.2)
 for place, (result, outcome) in enumerate(done.values()):
-    coverage = next(each.value for each in result.requirements if "coverage" in each.requirement.text)
+    coverage = next(r.value for r in result.requirements if "coverage" in r.requirement.text)
     axis.barh(place, coverage, color=ORANGE)
     axis.text(0.02, place, f"{coverage:.2f}: {outcome}", va="center")
 axis.set_yticks(range(len(done)), list(done))

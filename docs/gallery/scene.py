@@ -158,9 +158,10 @@ def write_raw(
     samp, line = (0.0, 1.0, 0.0, 300 * lean[0] / half), (0.0, 0.0, -1.0, 300 * lean[1] / half)
     places = (half - 0.5, half - 0.5, middle[1], middle[0], 400.0, half, half, scales[1], scales[0], 300.0)
     terms = [
-        (*(float(each) for each in some), *[0.0] * (20 - len(some))) for some in (line, (1,), samp, (1,))
+        (*(float(term) for term in factors), *[0.0] * (20 - len(factors)))
+        for factors in (line, (1,), samp, (1,))
     ]
-    rpc = RpcModel(*(float(each) for each in places), *terms)
+    rpc = RpcModel(*(float(number) for number in places), *terms)
     shape = {"width": side, "height": side, "count": 1, "dtype": "uint16"}
     with ignoring(NotGeoreferencedWarning), rasterio.open(path, "w", driver="GTiff", **shape) as file:
         file.rpcs = RPC.from_gdal(to_gdal(rpc))

@@ -21,18 +21,18 @@ with tempfile.TemporaryDirectory() as folder:
     ]
     options = {"window": 41, "template": 61, "features": 60, "jobs": 1}
     pcwlad_geo.stack(files, out_dir=Path(folder) / "stack", max_pairs=12, **options)
-    found = pcwlad_geo.watch(Path(folder) / "stack", out_dir=Path(folder) / "watch")
+    (series,) = pcwlad_geo.watch(Path(folder) / "stack", out_dir=Path(folder) / "watch").series
 
-(series,) = found.series
 figure, axes = panels(["Displacement along columns, px", "Displacement along rows, px"], height=3.0)
+bars_px = [3 * image.sigma_px for image in series.images]
 for number, axis in enumerate(axes):
-    error = [3 * image.sigma_px for image in series.images]
-    axis.plot(DAYS, [image.expected_px[number] for image in series.images], color=BLUE, label="model")
-    axis.errorbar(DAYS, [image.shift_px[number] for image in series.images], error, fmt=".", color=ORANGE)
+    shifts = [image.shift_px[number] for image in series.images]
+    axis.errorbar(DAYS, shifts, bars_px, fmt=".", color=ORANGE, label="image, 3 sigma")
+    model = [image.expected_px[number] for image in series.images]
+    axis.step(DAYS, model, where="post", color=BLUE, label="model")
     for step in series.steps:
-        axis.axvline(
-            np.datetime64(step.date), ls="--", color=BLUE, label=f"step {step.size_px[number]:+.2f} px"
-        )
+        size = f"step {step.size_px[number]:+.2f} px"
+        axis.axvline(np.datetime64(step.date), ls="--", color=BLUE, label=size)
     axis.xaxis.set_major_formatter(DateFormatter("%Y-%m"))
     axis.tick_params(axis="x", rotation=30, labelsize=8)
     axis.legend(fontsize=8)

@@ -15,18 +15,18 @@ with tempfile.TemporaryDirectory() as folder:
         write_band(f"{folder}/{name}.tif", kind, shift_px=shift, side=320)
         for (name, shift), kind in zip(BANDS.items(), ("red", "nir", "thermal", "red"), strict=True)
     ]
-    found = pcwlad_geo.stack(files, out_dir=Path(folder) / "stack", model="shift", jobs=1)
+    bands = pcwlad_geo.stack(files, out_dir=Path(folder) / "stack", model="shift", jobs=1)
 
 count, names = len(files), list(BANDS)
 apart, sigma = np.zeros((count, count)), np.zeros((count, count))
 middle = np.array([[160.0, 160.0]])
 for one in range(count):
     for other in range(count):
-        shifts = [found.adjustment.displacement(each, middle)[0] for each in (one, other)]
+        shifts = [bands.adjustment.displacement(band, middle)[0] for band in (one, other)]
         apart[one, other] = np.hypot(*(shifts[1] - shifts[0]))
-        sigma[one, other] = np.sqrt(np.trace(found.adjustment.covariance(one, middle, other)[0]) / 2)
+        sigma[one, other] = np.sqrt(np.trace(bands.adjustment.covariance(one, middle, other)[0]) / 2)
 
-figure, axes = panels(["How far apart two bands lie, px", "Sigma of that along an axis, px"], height=4.0)
+figure, axes = panels(["distance of two bands, px", "sigma of the distance along an axis, px"], height=4.0)
 for axis, values in zip(axes, (apart, sigma), strict=True):
     axis.imshow(values, cmap="Oranges", vmax=1.6 * values.max())
     for (row, col), value in np.ndenumerate(values):

@@ -23,15 +23,15 @@ with tempfile.TemporaryDirectory() as folder:
         )
         for k, (date, shift) in enumerate(zip(DATES, TRUE_PX, strict=True))
     ]
-    found = pcwlad_geo.stack(files, out_dir=Path(folder) / "stack", jobs=1)
+    series = pcwlad_geo.stack(files, out_dir=Path(folder) / "stack", jobs=1)
 
 figure, axes = panels(["Shift along columns, px", "Shift along rows, px"], height=3.0)
 days = np.array(DATES, dtype="datetime64[D]")
 for number, axis in enumerate(axes):
-    shift = [image.shift_px[number] for image in found.images]
-    error = [3 * image.sigma_px[number] for image in found.images]
+    shift = [image.shift_px[number] for image in series.images]
+    error = [3 * image.sigma_px[number] for image in series.images]
     axis.plot(days, TRUE_PX[:, number], "o", ms=11, mfc="none", color=BLUE, label="truth")
-    axis.errorbar(days, shift, error, fmt=".", color=ORANGE, label="found, 3 sigma")
+    axis.errorbar(days, shift, error, fmt=".", color=ORANGE, label="measured, 3 sigma")
     axis.xaxis.set_major_formatter(DateFormatter("%Y-%m"))
     axis.tick_params(axis="x", rotation=30, labelsize=8)
 axes[0].legend(fontsize=8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from docs.make_method_images import PIPELINE, PIPELINE_ARROWS, TYPES
+from docs.make_images import PIPELINE, PIPELINE_ARROWS, TYPES
 from tests.docs.pages import REPOSITORY
 
 PACKAGE = REPOSITORY / "pcwlad_geo"
