@@ -1,4 +1,4 @@
-"""The help page of the plugin, from docs/qgis.md: that of the site, without a network and for users only."""
+"""The help page of the plugin, from docs/qgis.md: that of the site, without a network."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from html import escape
 from pathlib import Path
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "qgis.md"
-END = "\n## For developers"
-"""Where the part for users ends."""
 STYLE = """
 body { font: 16px/1.5 sans-serif; max-width: 50em; margin: 2em auto; padding: 0 1em; color: #222; }
 table { border-collapse: collapse; } td, th { border: 1px solid #ccc; padding: .3em .6em; text-align: left; }
@@ -30,9 +28,8 @@ def page(markdown: str, site: str) -> tuple[str, list[str]]:
     site : str
         Address of the documentation, for links to its other pages.
     """
-    users = markdown.split(END)[0]
-    pictures = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", users)
-    body = "\n".join(_block(block, site) for block in _blocks(users))
+    pictures = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", markdown)
+    body = "\n".join(_block(block, site) for block in _blocks(markdown))
     head = f'<meta charset="utf-8"><title>pcwlad-geo</title><style>{STYLE}</style>'
     return f"<!DOCTYPE html>\n<html><head>{head}</head><body>\n{body}\n</body></html>\n", pictures
 
