@@ -12,7 +12,7 @@ CODE_IN_TABLE = re.compile(r"`[^`\n]*\\\|[^`\n]*`")
 FILE_AS_LABEL = re.compile(r"\[(?:docs/)?([\w/]+)\.md\]\(")
 """On a code host a page is a file, here it is a page."""
 
-NAMES = re.compile(r"<!-- names: (.*?) -->")
+NAMES = re.compile(r"Names: ((?:`\w+`,?\s?)+)")
 """Public names of one part of the page of the API."""
 
 
@@ -21,7 +21,7 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:  # noqa: ANN
     if page.file.src_uri == "contributing.md":
         markdown = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8").replace("](docs/", "](")
     if page.file.src_uri == "api.md":
-        markdown = NAMES.sub(lambda found: "\n".join(map(entry, found[1].split(", "))), markdown)
+        markdown = NAMES.sub(lambda line: "\n".join(map(entry, re.findall(r"\w+", line[1]))) + "\n", markdown)
     if page.file.src_uri == "index.md":
         markdown = markdown.replace("<!-- what to use when -->", section_of_readme("What to use when"))
     markdown = CODE_IN_TABLE.sub(lambda found: found[0].replace("\\|", "|"), markdown)
