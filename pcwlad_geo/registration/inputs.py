@@ -29,6 +29,7 @@ from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.registration.rpc import place_reference, place_target
+from pcwlad_geo.tiepoints.readers import FORMATS
 from pcwlad_geo.types import PathLike
 
 
@@ -91,7 +92,7 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
     """
     ref = _side(reference, "ref", settings)
     tgt = _side(target, "tgt", settings)
-    notes = ref.notes + tgt.notes + KINDS.problems()
+    notes = ref.notes + tgt.notes + KINDS.problems() + FORMATS.problems()
     product = tgt.product if all_bands else None
     candidates = product.others(product.band(settings.tgt_band)) if product else ()
     other_bands = tuple(band for band in candidates if band.uri != ref.file)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product, native_px_m, of_one_product
 from pcwlad_geo.registration import resolve
 from pcwlad_geo.tiepoints.readers import FORMATS, read_point_file
+from tests.cli.process import run_cli
 from tests.scenes import make_grid, render
 
 if sys.version_info >= (3, 11):
@@ -27,7 +29,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "development" / "plugins.md"
+REPOSITORY = Path(__file__).resolve().parents[2]
+PAGE = REPOSITORY / "docs" / "howto" / "write_a_plugin.md"
 SHIFT_PX = (1.4, -0.8)
 SMALL = ("--jobs", "1", "--features", "100", "--template", "61", "--window", "41", "--no-report")
 
@@ -137,8 +140,8 @@ def test_an_object_that_cannot_be_used_is_a_warning(text: str, said: str, site: 
     scene = write_scene(tmp_path / "scene")
     file = str(scene / "DS1_20240501_RED.tif")
     words = rf"broken of the package desert \(entry point pcwlad_geo.{{}}\) is not used: .*{said}"
-    (warning,) = resolve(file, file, Settings()).notes
-    assert re.search(words.format("products"), warning)
+    for warning, group in zip(resolve(file, file, Settings()).notes, ("products", "formats"), strict=True):
+        assert re.search(words.format(group), warning)
     with pytest.raises(InputError, match=words.format("products")):
         resolve(scene, file, Settings(ref_band="RED"))
     (tmp_path / "points.desert").write_text("desert points\n")
@@ -158,6 +161,52 @@ THING = ProductKind("broken", lambda name: True, lambda tree: {answer})
     install(site, {"desert_broken": text}, {"pcwlad_geo.products": {"broken": "desert_broken:THING"}})
     with pytest.raises(InputError, match=rf"broken of the package desert .*{said}.*uninstall it"):
         find_product(write_scene(tmp_path / "scene"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ("recognises=lambda source: 1 / 0", "ZeroDivisionError"),
+        ("read=lambda source: 'points'", "its answer 'points' is no PointFile"),
+        ("write=lambda *_: 1 / 0", "ZeroDivisionError"),
+    ],
+)
+def test_a_format_that_fails_is_one_line_on_the_command_line(
+    changes: str, said: str, desert: None, site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (site / "desert_points.py").open("a", encoding="utf-8") as file:
+        file.write(f"\nfrom dataclasses import replace\nDESERT_POINTS = replace(DESERT_POINTS, {changes})\n")
+    assert run(by_points(tmp_path)) == InputError.exit_status
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    named = r"desert of the package desert \(entry point pcwlad_geo.formats\) failed"
+    assert re.search(f"{named} .*{said}.*uninstall it", line)
+
+
+def by_points(folder: Path) -> list[str]:
+    """Return a command that registers a scene by a file of the format of the page."""
+    scene, target = write_scene(folder / "ref"), write_scene(folder / "tgt", SHIFT_PX)
+    places = np.stack(np.meshgrid(*[np.linspace(20.0, 220.0, 6)] * 2), axis=-1).reshape(-1, 2)
+    rows = np.column_stack([places, places + SHIFT_PX])
+    lines = ["desert points", *(" ".join(map(str, row)) for row in rows.tolist())]
+    (folder / "points.desert").write_text("\n".join(lines), encoding="utf-8")
+    bands = ["--ref-band", "RED", "--tgt-band", "RED", "--model", "shift", *SMALL]
+    points = str(folder / "points.desert")
+    return ["register", str(scene), str(target), *bands, "--tie-points", points, "-o", str(folder / "out")]
+
+
+def test_another_process_has_the_package_from_its_path(
+    desert: None, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a shell has it: nothing of the package is imported before the command line runs."""
+    paths = (str(site), str(REPOSITORY), os.environ.get("PYTHONPATH"))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    result = run_cli(tmp_path, by_points(tmp_path))
+    assert result.returncode == 0, result.stderr
+    written = (tmp_path / "out" / "DS1_20240501_RED.desert").read_text(encoding="utf-8").splitlines()
+    assert written[0] == "desert points"
+    numbers = np.array([line.split() for line in written[1:]], dtype=float)
+    assert numbers.shape == (36, 4)
+    assert numbers[:, 2:] - numbers[:, :2] == pytest.approx(np.tile(SHIFT_PX, (36, 1)), abs=1e-3)
 
 
 def test_nothing_is_searched_for_before_it_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
