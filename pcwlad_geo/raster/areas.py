@@ -66,8 +66,8 @@ class _Rings:
     @staticmethod
     def of(rings: NDArray[np.object_], polygon: Index) -> _Rings:
         xy, ring = shapely.get_coordinates(rings, return_index=True)
-        kept = (np.diff(ring, append=ring[-1:] + 1) == 0) & np.isfinite(xy).all(axis=1)
-        return _Rings(xy[kept], ring[kept], polygon)
+        is_vertex = (np.diff(ring, append=ring[-1:] + 1) == 0) & np.isfinite(xy).all(axis=1)
+        return _Rings(xy[is_vertex], ring[is_vertex], polygon)
 
     @np.errstate(all="ignore")  # of coordinates that are no places
     def clipped(self, box: Box) -> _Rings:
@@ -82,8 +82,8 @@ class _Rings:
             share = beyond / (beyond - beyond[following])
             cut = xy + share[:, None] * (xy[following] - xy)
             cut[:, axis] = limit
-            chosen = np.stack([beyond <= 0, crossing & np.isfinite(cut).all(axis=1)], axis=1)
-            xy, ring = np.stack([xy, cut], axis=1)[chosen], np.repeat(ring, 2)[chosen.ravel()]
+            selection = np.stack([beyond <= 0, crossing & np.isfinite(cut).all(axis=1)], axis=1)
+            xy, ring = np.stack([xy, cut], axis=1)[selection], np.repeat(ring, 2)[selection.ravel()]
         return _Rings(xy, ring, self.polygon)
 
     def lines(self) -> tuple[NDArray[np.object_], Index]:
@@ -112,16 +112,16 @@ def read_areas(path: PathLike, grid: Grid) -> bytes:
     kinds = set(shapely.get_type_id(shapes).tolist())
     if not kinds <= {shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON}:
         raise InputError(f"{name} holds other than polygons: give areas (of lines or points a buffer)")
-    near = _Rings.of(*shapely.get_rings(shapely.get_parts(shapes), return_index=True)).clipped(box)
-    check_count(name, len(near.xy), VERTICES, "vertices around the raster")
-    lines, polygon = near.lines()
+    rings = _Rings.of(*shapely.get_rings(shapely.get_parts(shapes), return_index=True)).clipped(box)
+    check_count(name, len(rings.xy), VERTICES, "vertices around the raster")
+    lines, polygon = rings.lines()
     if crs != grid.crs or type(grid) is not Grid:  # edges are curved there
         step = max(box[2] - box[0], box[3] - box[1]) / 192
         lines = shapely.segmentize(lines, max(step, shapely.length(lines).sum() / SEGMENTS))
-    placed = _Rings.of(
+    grid_rings = _Rings.of(
         shapely.transform(lines, lambda xy: grid.in_turn(transform_xy(xy, crs, grid.crs))), polygon
     )
-    return bytes(shapely.to_wkb(shapely.multipolygons(placed.polygons())))
+    return bytes(shapely.to_wkb(shapely.multipolygons(grid_rings.polygons())))
 
 
 Shapes = tuple[NDArray[np.object_], CRS, Box]
@@ -157,7 +157,7 @@ def _shapes_of_kml(name: str, grid: Grid) -> Shapes:
     box = _surroundings(transform_xy(grid.to_xy(grid.boundary_px()), grid.crs, WGS84))
     try:
         root = ET.fromstring(read_bytes(Path(name)))
-        others = [root.find(f".//{{*}}{kind}") is not None for kind in ("Point", "LineString")]
+        other_kinds = [root.find(f".//{{*}}{kind}") is not None for kind in ("Point", "LineString")]
         polygons = [
             shapely.Polygon(
                 _ring(element.find("{*}outerBoundaryIs")),
@@ -169,19 +169,19 @@ def _shapes_of_kml(name: str, grid: Grid) -> Shapes:
         raise InputError(f"{name} cannot be opened: {error}") from error
     except (ET.ParseError, ValueError, LookupError, shapely.errors.ShapelyError) as error:
         raise InputError(f"{name} cannot be read as KML: {error}") from error
-    shapes = np.array([*polygons, *([shapely.Point()] if any(others) else [])], dtype=object)
+    shapes = np.array([*polygons, *([shapely.Point()] if any(other_kinds) else [])], dtype=object)
     return _in_turn(lambda _: shapes, WGS84, box), WGS84, box
 
 
 def _in_turn(shapes_in: Callable[[Box], NDArray[np.object_]], crs: CRS, box: Box) -> NDArray[np.object_]:
     """Return the geometries in a box, those too whose longitudes are counted 360 degrees more or less."""
     left, bottom, right, top = box
-    turn, moved = turn_of(crs), []
+    turn, parts = turn_of(crs), []
     for by in (-turn, 0.0, turn) if math.isfinite(turn) else (0.0,):
         if by == 0.0 or (left + by <= turn and right + by >= -turn / 2):
             shapes = np.asarray(shapes_in((left + by, bottom, right + by, top)), dtype=object)
-            moved.append(shapely.transform(shapes, lambda xy, by=by: xy - [by, 0.0]) if by else shapes)
-    return np.concatenate(moved)
+            parts.append(shapely.transform(shapes, lambda xy, by=by: xy - [by, 0.0]) if by else shapes)
+    return np.concatenate(parts)
 
 
 def _ring(boundary: ET.Element | None) -> Float64:
@@ -234,7 +234,7 @@ def _covered(polygons: bytes, window: Window, grid: Grid) -> Bool:
     parts = parts[(left <= box[2]) & (right >= box[0]) & (bottom <= box[3]) & (top >= box[1])]
     lines, polygon = _Rings.of(*shapely.get_rings(parts, return_index=True)).clipped(box).lines()
     in_window = _Rings.of(shapely.transform(lines, lambda xy: grid.to_px(xy) - corner_px), polygon)
-    placed = in_window.polygons()
-    if len(placed) == 0:
+    shapes = in_window.polygons()
+    if len(shapes) == 0:
         return np.zeros(window.shape, dtype=bool)
-    return np.asarray(rasterize(placed, window.shape, dtype="uint8"), bool)
+    return np.asarray(rasterize(shapes, window.shape, dtype="uint8"), bool)

@@ -339,12 +339,12 @@ def _transform_of(data: DataArrayLike, place: Mapping[Any, Any]) -> Affine | Non
             )
         axes.append((step, centres[0] - step / 2, len(centres)))
     (a, c, cols), (e, f, rows) = axes
-    found = Affine(a, 0.0, float(c), 0.0, e, float(f))
+    from_axes = Affine(a, 0.0, float(c), 0.0, e, float(f))
     if written is None:
-        return found
+        return from_axes
     corners_px = np.array([[0.0, 0.0], [cols, rows]])
-    off_px = np.abs(apply_inverse(found, apply(written, corners_px)) - corners_px).max()
-    return written if off_px <= 1e-6 else found  # rounding of the coordinates
+    off_px = np.abs(apply_inverse(from_axes, apply(written, corners_px)) - corners_px).max()
+    return written if off_px <= 1e-6 else from_axes  # rounding of the coordinates
 
 
 def like_the_source(raster: Raster, source: object) -> object:

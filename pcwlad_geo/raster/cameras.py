@@ -69,21 +69,21 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
     looks_aside = pitch is not None and abs(float(pitch[1]) - NADIR_DEG) > MAX_TILT_DEG
     if not exif and relative is None:
         return None
-    focal = [each for each in (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)) if each]
+    focal = [*filter(None, (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)))]
     contradicts = len(focal) == 2 and max(focal) > MAX_FOCAL_RATIO * min(focal)
     plausible = focal[0] if focal and not contradicts else None
     position = None if looks_aside else _position(exif)
     camera = Camera(plausible, relative, number_of(exif, "GPSAltitude"), position, contradicts)
-    known = (plausible, camera.height_m, camera.altitude_m)
-    return camera if contradicts or any(each is not None for each in known) else None
+    statements = (plausible, camera.height_m, camera.altitude_m)
+    return camera if contradicts or any(value is not None for value in statements) else None
 
 
 def tags_of(dataset: DatasetReader, domain: str) -> Mapping[str, str]:
     """Return the tags of a `domain` of an open raster by name; none where GDAL cannot read them."""
-    found: Mapping[str, str] = {}
+    tags: Mapping[str, str] = {}
     with suppress(*LIBRARY_ERRORS):
-        found = dataset.tags(ns=domain)
-    return found
+        tags = dataset.tags(ns=domain)
+    return tags
 
 
 def exif_of(dataset: DatasetReader) -> Mapping[str, str]:
@@ -106,8 +106,8 @@ def expected_scale(reference: Camera | None, target: Camera | None) -> tuple[flo
     lacking = _lacking(reference, target)
     if lacking is not None:
         return None, f"{lacking}: their data are ignored, and the pair is searched as any other"
-    lengths = [each.focal_px if each and each.focal_px else 1.0 for each in (reference, target)]
-    heights = [each.height_m if each else None for each in (reference, target)]
+    lengths = [camera.focal_px if camera and camera.focal_px else 1.0 for camera in (reference, target)]
+    heights = [camera.height_m if camera else None for camera in (reference, target)]
     higher = 1.0 if heights[0] is None or heights[1] is None else heights[0] / heights[1]
     scale = lengths[1] / lengths[0] * higher
     if not RATIO[0] <= scale <= RATIO[1]:
@@ -186,8 +186,8 @@ def _by_35_mm(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:
 
 def number_of(exif: Mapping[str, str], name: str) -> float | None:
     """Return the positive number of an EXIF tag, by its `name` without EXIF; None where there is none."""
-    found = _NUMBER.match(exif.get(f"EXIF_{name}", "")[:40])
-    return _within(float(found[1]), (1e-9, 1e9)) if found else None
+    match = _NUMBER.match(exif.get(f"EXIF_{name}", "")[:40])
+    return _within(float(match[1]), (1e-9, 1e9)) if match else None
 
 
 def _within(value: float, limits: tuple[float, float]) -> float | None:
@@ -207,18 +207,18 @@ def xmp_of(dataset: DatasetReader) -> dict[str, tuple[str, ...]]:
     text = next(iter(tags_of(dataset, "xml:XMP").values()), "")
     if not text or len(text) > XMP_BYTES:
         return {}
-    found: dict[str, list[str]] = {}
+    texts: dict[str, list[str]] = {}
     inside: list[str] = []
 
     def begin(element: str, attributes: Mapping[str, str]) -> None:
         for name, value in attributes.items():
-            found.setdefault(name, []).append(value.strip())
+            texts.setdefault(name, []).append(value.strip())
         inside.append(element)
 
     def read(data: str) -> None:
-        named = [each for each in inside if not each.startswith(_RDF)]
-        if named and data.strip():
-            found.setdefault(named[-1], []).append(data.strip())
+        elements = [element for element in inside if not element.startswith(_RDF)]
+        if elements and data.strip():
+            texts.setdefault(elements[-1], []).append(data.strip())
 
     def refuse(*_: object) -> None:
         raise _StopReadingError
@@ -230,4 +230,4 @@ def xmp_of(dataset: DatasetReader) -> dict[str, tuple[str, ...]]:
     parser.StartDoctypeDeclHandler = refuse
     with suppress(expat.ExpatError, _StopReadingError, UnicodeEncodeError):
         parser.Parse(text.strip("\x00\ufeff \r\n\t"), True)
-    return {name: tuple(values) for name, values in found.items()}
+    return {name: tuple(values) for name, values in texts.items()}

@@ -73,8 +73,8 @@ def transform_xy(xy: Float64, from_crs: CRS | None, to_crs: CRS | None) -> Float
     if from_crs is None or to_crs is None:
         raise InputError("cannot transform coordinates from or to a raster without a CRS: assign one")
     xy = in_turn(xy, 0.0, turn_of(from_crs))  # PROJ finds operations by the longitudes from -180 to 180
-    moved = np.column_stack(with_arrays(_transformer(from_crs, to_crs).transform, xy[:, 0], xy[:, 1]))
-    return np.where(np.isfinite(moved), moved, np.nan)
+    mapped_xy = np.column_stack(with_arrays(_transformer(from_crs, to_crs).transform, xy[:, 0], xy[:, 1]))
+    return np.where(np.isfinite(mapped_xy), mapped_xy, np.nan)
 
 
 @lru_cache(maxsize=64)
@@ -114,8 +114,8 @@ def with_arrays(method: Callable[..., Sequence[Any]], *arrays: Float64) -> tuple
     Units are those of the method. Before 3.7.2, pyproj converts an array of one element to a number, for
     which NumPy issues a warning; such an array is passed as a number.
     """
-    given = [array.item() for array in arrays] if len(arrays[0]) == 1 else arrays
-    return tuple(np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in method(*given))
+    arguments = [array.item() for array in arrays] if len(arrays[0]) == 1 else arrays
+    return tuple(np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in method(*arguments))
 
 
 def transformation_warnings(from_crs: CRS | None, to_crs: CRS | None) -> tuple[str, ...]:
@@ -129,8 +129,8 @@ def transformation_warnings(from_crs: CRS | None, to_crs: CRS | None) -> tuple[s
     with ignoring(UserWarning):  # pyproj's own warning about missing grids
         group = TransformerGroup(to_pyproj(from_crs), to_pyproj(to_crs), always_xy=True)
     pair = f"from {name_of(from_crs)} to {name_of(to_crs)}"
-    used = group.transformers[0] if group.transformers else None
-    if used and any(step.has_ballpark_transformation for step in used.operations or ()):
+    operation = group.transformers[0] if group.transformers else None
+    if operation and any(step.has_ballpark_transformation for step in operation.operations or ()):
         return (f"the transformation {pair} is a ballpark one: it may be hundreds of metres off",)
     if not group.best_available:
         return (f"the best transformation {pair} needs a grid that is missing here: it may be metres off",)
@@ -243,8 +243,8 @@ class _Ground:
         if self._to_lon_lat is not None:
             x, y = with_arrays(self._to_lon_lat.transform, x, y)
         lon, lat = np.asarray(x) * self._degrees, np.asarray(y) * self._degrees
-        known = np.isfinite(lon) & np.isfinite(lat)
-        return np.where(known, lon, np.nan), np.where(known, lat, np.nan)
+        defined = np.isfinite(lon) & np.isfinite(lat)
+        return np.where(defined, lon, np.nan), np.where(defined, lat, np.nan)
 
 
 @lru_cache(maxsize=64)

@@ -146,10 +146,10 @@ def _members(archive: _Archive) -> Mapping[str, _Member]:
     """Return the files of an archive by the names that GDAL gives them."""
     if archive.zipped:
         with zipfile.ZipFile(archive.path) as file:
-            held = file.infolist()
-            check_count(str(archive.path), len(held), MEMBERS, "files")
-            check_unpacked(str(archive.path), sum(each.file_size for each in held), archive.size)
-            return {each.filename: _Member(each.filename) for each in held if _counts(each.filename)}
+            entries = file.infolist()
+            check_count(str(archive.path), len(entries), MEMBERS, "files")
+            check_unpacked(str(archive.path), sum(entry.file_size for entry in entries), archive.size)
+            return {entry.filename: _Member(entry.filename) for entry in entries if _counts(entry.filename)}
     members: dict[str, _Member] = {}
     with tarfile.open(archive.path) as tar:
         for number, member in enumerate(tar, start=1):
@@ -169,8 +169,8 @@ def _member(archive: _Archive, name: str) -> bytes:
         with zipfile.ZipFile(archive.path) as file, file.open(name) as member:
             return _small(member, name)
     with tarfile.open(archive.path) as tar:
-        found = tar.extractfile(_members(archive)[name].stored)
-        return _small(found, name) if found else b""
+        stream = tar.extractfile(_members(archive)[name].stored)
+        return _small(stream, name) if stream else b""
 
 
 def _small(member: IO[bytes], name: str) -> bytes:

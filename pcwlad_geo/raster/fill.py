@@ -163,7 +163,7 @@ def _shared_share(one: Bool, other: Bool, common: Bool) -> float:
         float(np.sum(area > core) / max(1, int(np.sum(common > core))))
         for area, core in zip(areas, solid, strict=True)
     ]
-    apart = (solid[0] > cv2.dilate(areas[1], neighbours)) | (solid[1] > cv2.dilate(areas[0], neighbours))
-    if apart.sum() > PARAMETERS.max_apart * one.sum() or max(strays) > PARAMETERS.max_among_data:
+    unshared = (solid[0] > cv2.dilate(areas[1], neighbours)) | (solid[1] > cv2.dilate(areas[0], neighbours))
+    if unshared.sum() > PARAMETERS.max_apart * one.sum() or max(strays) > PARAMETERS.max_among_data:
         return 0.0
     return float(one.sum() / common.sum())

@@ -56,15 +56,15 @@ def gdal_log(level: int, *, passes_on: bool = True) -> Iterator[list[logging.Log
 
     Levels of `logging` below `level` are left out; other handlers receive it as well if `passes_on`.
     """
-    kept, logger = _Records(level), logging.getLogger("rasterio._env")
+    handler, logger = _Records(level), logging.getLogger("rasterio._env")
     before = logger.level, logger.propagate
-    logger.addHandler(kept)
+    logger.addHandler(handler)
     logger.setLevel(level)
     logger.propagate = passes_on and logger.propagate
     try:
-        yield kept.records
+        yield handler.records
     finally:
-        logger.removeHandler(kept)
+        logger.removeHandler(handler)
         logger.setLevel(before[0])
         logger.propagate = before[1]
 

@@ -49,17 +49,17 @@ def _grid_of_gcps(
 
     Degrees of longitude become shorter towards the poles: over a radar swath of 250 km by hundreds of pixels.
     """
-    found = geotransform_of(gcps)
-    if found is not None and found[1] > EXACT_PX and crs.is_geographic:
+    fit = geotransform_of(gcps)
+    if fit is not None and fit[1] > EXACT_PX and crs.is_geographic:
         lon_lat = np.array([[gcp.x, gcp.y] for gcp in gcps])
         zone = utm_zone_of(transform_xy(lon_lat[len(lon_lat) // 2][None], crs, WGS84)[0])
-        moved = zip(gcps, transform_xy(lon_lat, crs, zone).tolist(), strict=True)
-        there = geotransform_of([GroundControlPoint(gcp.row, gcp.col, x, y) for gcp, (x, y) in moved])
-        if there is not None and there[1] < found[1]:
-            found, crs = there, zone
-    if found is None:
+        in_zone = zip(gcps, transform_xy(lon_lat, crs, zone).tolist(), strict=True)
+        zone_fit = geotransform_of([GroundControlPoint(gcp.row, gcp.col, x, y) for gcp, (x, y) in in_zone])
+        if zone_fit is not None and zone_fit[1] < fit[1]:
+            fit, crs = zone_fit, zone
+    if fit is None:
         return Grid(shape, Affine.identity(), None), None
-    return Grid(shape, found[0], crs), found[1]
+    return Grid(shape, fit[0], crs), fit[1]
 
 
 def plane_transform_of(uri: str, dataset: DatasetReader) -> Affine | None:

@@ -260,8 +260,8 @@ def apply_inverse(transform: Affine, points_xy: Float64) -> Float64:
     """Map (n, 2) points `points_xy`, usually map units, by the inverse of `transform` to (n, 2) points."""
     # Differences first: eastings and northings have more digits than the inverse geotransform keeps.
     origin = np.array([transform.c, transform.f])
-    back = inverse(linear_part(transform))
-    return np.asarray((np.asarray(points_xy, dtype=np.float64) - origin) @ back.T)
+    matrix = inverse(linear_part(transform))
+    return np.asarray((np.asarray(points_xy, dtype=np.float64) - origin) @ matrix.T)
 
 
 def composed(

@@ -74,29 +74,29 @@ def identify(uri: str | os.PathLike[str], *, raster: bool = True) -> tuple[FileI
     stores) have none. Raises `InputError` if the raster, or one that a VRT names, cannot be opened.
     """
     uri = os.fspath(uri)
-    found: dict[str, FileIdentity] = {}
+    identities: dict[str, FileIdentity] = {}
     # opened first: a server is not asked for a file that may not be opened
     waiting = [uri, *_files_of(uri)] if raster else [uri]
     visited: set[str] = set()
-    while waiting and len(found) < MAX_FILES:
-        each = waiting.pop(0)
-        if each in visited or each.endswith(_NO_PIXELS):
+    while waiting and len(identities) < MAX_FILES:
+        source = waiting.pop(0)
+        if source in visited or source.endswith(_NO_PIXELS):
             continue
-        visited.add(each)
-        identity = _identify(each, ask_servers=raster)
+        visited.add(source)
+        identity = _identify(source, ask_servers=raster)
         if identity is not None:
-            found.setdefault(identity.path, identity)
-        if raster and each != uri and _is_vrt(each):
-            waiting += _files_of(each)
-    return tuple(found.values())
+            identities.setdefault(identity.path, identity)
+        if raster and source != uri and _is_vrt(source):
+            waiting += _files_of(source)
+    return tuple(identities.values())
 
 
 def first_difference(before: Iterable[FileIdentity]) -> str | None:
     """Identify files again and describe the first that has changed; None where none has."""
-    for each in before:
-        difference = each.difference(_identify(each.path))
+    for file in before:
+        difference = file.difference(_identify(file.path))
         if difference is not None:
-            return f"{each.path} was changed ({difference})"
+            return f"{file.path} was changed ({difference})"
     return None
 
 
@@ -156,10 +156,10 @@ def file_on_disk(uri: str) -> Path | None:
     uri = re.sub(r"^(/vsi(zip|tar|gzip|7z|rar)/|/vsisubfile/[^,]*,)+", "", uri)
     braced = re.match(r"\{(?P<archive>[^}]+)\}", uri)
     place = Path(braced["archive"] if braced else uri)
-    for each in (place, *place.parents):
+    for candidate in (place, *place.parents):
         try:
-            if each.is_file():
-                return each
+            if candidate.is_file():
+                return candidate
         except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
             return None
     return None

@@ -70,8 +70,8 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
 
 def is_quality_raster(name: str) -> bool:
     """Whether a file has the name of a quality raster of a product, which is no image."""
-    known = any(re.search(each, name, re.IGNORECASE) for each in _NAMES.values())
-    return known or _OTHERS.search(name) is not None
+    is_mask = any(re.search(pattern, name, re.IGNORECASE) for pattern in _NAMES.values())
+    return is_mask or _OTHERS.search(name) is not None
 
 
 def bands_of(kind: MaskKind) -> tuple[int, ...]:
@@ -102,12 +102,13 @@ def _without(bits: Sequence[int], values: NDArray[np.generic]) -> Bool:
 
 
 def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:
-    wanted = max(bands_of(kind))
-    if len(dtypes) < wanted or any(np.dtype(dtype).kind not in "iu" for dtype in dtypes[:wanted]):
-        held = f"{len(dtypes)} band{'s' if len(dtypes) != 1 else ''} of type {', '.join(sorted(set(dtypes)))}"
+    count = max(bands_of(kind))
+    if len(dtypes) < count or any(np.dtype(dtype).kind not in "iu" for dtype in dtypes[:count]):
+        plural = "s" if len(dtypes) != 1 else ""
+        content = f"{len(dtypes)} band{plural} of type {', '.join(sorted(set(dtypes)))}"
         raise InputError(
-            f"the mask {uri} is named like a {kind} raster, which has {wanted} whole-number "
-            f"band{'s' if wanted > 1 else ''}, and holds {held}: give the product's own file, or rename a "
+            f"the mask {uri} is named like a {kind} raster, which has {count} whole-number "
+            f"band{'s' if count > 1 else ''}, and holds {content}: give the product's own file, or rename a "
             "mask of your own (0 = excluded)"
         )
 
@@ -223,7 +224,7 @@ def _measured(collar: Collar, small: tuple[int, int]) -> Collar:
 def _corner_value(read: Read, shape: tuple[int, int]) -> float | None:
     """Return the commonest value of the constant corners, but for noise; None if there is none."""
     side = min(3, *shape)
-    found = []
+    candidates = []
     for row in (0, shape[0] - side):
         for col in (0, shape[1] - side):
             corner = read(Window(row, col, side, side), (side, side))
@@ -231,8 +232,8 @@ def _corner_value(read: Read, shape: tuple[int, int]) -> float | None:
             middle = float(np.median(values))
             value = _extreme_near(middle, corner) if corner.dtype == np.uint8 else middle
             if value is not None and np.ptp(values) <= _tolerance(corner, JPEG_NOISE):
-                found.append(value)
-    return max(found, key=found.count, default=None)
+                candidates.append(value)
+    return max(candidates, key=candidates.count, default=None)
 
 
 def _tolerance(values: NDArray[np.generic], of_8_bits: float) -> float:
@@ -413,7 +414,7 @@ def _border_end(overview: Float64, tolerance: float) -> tuple[float, float] | No
     depth = np.arange(int(FRAME_DEPTH * len(overview)))
     col = np.arange(same.shape[1])
     edge = np.ones(FRAME_EDGE_PX) / FRAME_EDGE_PX
-    best, found = 0.0, None
+    best, best_ends = 0.0, None
     for slope in np.linspace(-0.03, 0.03, 25):  # a scan is laid down within two degrees
         tilt = slope * (2 * col - overview.shape[1] / 2)
         at = np.clip(np.rint(depth[:, None] + tilt).astype(int), 0, len(overview) - 1)
@@ -427,8 +428,8 @@ def _border_end(overview: Float64, tolerance: float) -> tuple[float, float] | No
         )
         if step.max() > best:
             best, end = float(step.max()), float(ends[step.argmax()])
-            found = end + 2 - slope * overview.shape[1] / 2, end + 2 + slope * overview.shape[1] / 2
-    return found
+            best_ends = end + 2 - slope * overview.shape[1] / 2, end + 2 + slope * overview.shape[1] / 2
+    return best_ends
 
 
 def _side_of(
@@ -440,8 +441,8 @@ def _side_of(
     """
     rows, cols = shape
     along = np.array([0.0, cols if outward[1] else rows])
-    far = cols if outward == (1, 0) else rows if outward == (0, 1) else 0
-    depth = far - ends_px if far else ends_px
+    opposite = cols if outward == (1, 0) else rows if outward == (0, 1) else 0
+    depth = opposite - ends_px if opposite else ends_px
     places = np.column_stack([along, depth] if outward[1] else [depth, along])
     edge = places[1] - places[0]
     normal = np.array([edge[1], -edge[0]]) / np.hypot(*edge)

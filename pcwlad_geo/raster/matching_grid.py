@@ -45,8 +45,8 @@ def share_plane(reference: RasterInfo, target: RasterInfo) -> tuple[RasterInfo, 
                 f"{lacking.uri} has a geotransform and no CRS: it is taken to be in {name_of(grid.crs)} as "
                 f"{other.uri}, where its coordinates lie; assign it its CRS (gdal_edit.py -a_srs)"
             )
-            found = _placed(lacking, grid)
-            return (found, target, (warning,)) if lacking is reference else (reference, found, (warning,))
+            info = _placed(lacking, grid)
+            return (info, target, (warning,)) if lacking is reference else (reference, info, (warning,))
     return reference, target, ()
 
 
@@ -58,11 +58,11 @@ def grid_on_plane_of(info: RasterInfo, grid: Grid) -> Grid:
     """
     if info.plane_transform is None or info.georeferenced or not grid.located:
         return info.grid
-    own = Grid(info.grid.shape, info.plane_transform, grid.crs)
-    extents = [shapely.Polygon(each.to_xy(each.boundary_px())) for each in (own, grid)]
+    assumed = Grid(info.grid.shape, info.plane_transform, grid.crs)
+    extents = [shapely.Polygon(candidate.to_xy(candidate.boundary_px())) for candidate in (assumed, grid)]
     least = min(extent.area for extent in extents)
     shared = extents[0].intersection(extents[1]).area
-    return own if shared >= MIN_SHARED * least > 0 else info.grid
+    return assumed if shared >= MIN_SHARED * least > 0 else info.grid
 
 
 def _placed(info: RasterInfo, grid: Grid | None) -> RasterInfo:
@@ -129,8 +129,8 @@ def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     common = _overlap(reference, target)
     steps = jacobian(_typical_place(common, reference.grid, target.grid), reference.grid, target.grid)[0]
     check_pixel_ratio(reference.uri, target.uri, np.linalg.svd(steps, compute_uv=False).tolist())
-    own = _plan_own_pixels(reference, target, common, warnings)
-    return own or _plan_resampled(reference, target, common, warnings)
+    unresampled = _plan_own_pixels(reference, target, common, warnings)
+    return unresampled or _plan_resampled(reference, target, common, warnings)
 
 
 def limited(pair: ViewPair, extent: tuple[float, float, float, float]) -> ViewPair:
@@ -144,8 +144,8 @@ def limited(pair: ViewPair, extent: tuple[float, float, float, float]) -> ViewPa
     if not pair.georeferenced or any(type(grid) is not Grid for grid in grids):
         raise InputError("--extent needs two rasters with a geotransform: leave it out, or cut the files")
     outline = shapely.transform(shapely.box(*extent), grids[0].to_px)
-    shown = shapely.segmentize(shown_by(grids[0], outline), max(grids[0].shape) / 32)
-    corners_px = view.from_file_px(shapely.get_coordinates(shown))
+    visible = shapely.segmentize(shown_by(grids[0], outline), max(grids[0].shape) / 32)
+    corners_px = view.from_file_px(shapely.get_coordinates(visible))
     corners_px = corners_px[np.isfinite(corners_px).all(axis=1)]
     low, high = (corners_px.min(axis=0), corners_px.max(axis=0)) if len(corners_px) else (np.zeros(2),) * 2
     window = Window.around(low + 1e-6, high - 1e-6).clipped(view.grid.shape)
@@ -281,8 +281,8 @@ def _resampled(finer: RasterInfo, coarser: Grid, box: Window) -> View:
     """Return the finer band on the coarser band's grid, limited to the overlap and a margin."""
     around = box.padded(MARGIN_PX)
     grid = coarser.part((around.col, around.row), around.shape)
-    shown = shapely.box(MARGIN_PX, MARGIN_PX, MARGIN_PX + box.cols, MARGIN_PX + box.rows)
-    scale = _axis_scale(grid, finer.grid, shown)
+    area = shapely.box(MARGIN_PX, MARGIN_PX, MARGIN_PX + box.cols, MARGIN_PX + box.rows)
+    scale = _axis_scale(grid, finer.grid, area)
     averaged = scale is not None and np.abs(scale).min() >= _AVERAGE_FROM
     resampling: ViewResampling = "average" if averaged else "cubic"
     return View(finer, grid, resampling)
@@ -341,11 +341,11 @@ def _typical_place(common: shapely.Geometry, reference: Grid, target: Grid) -> F
     at_px = positions(*np.linspace(*bounds_of(common), 9).T)
     at_px = np.concatenate([_centre(common), at_px[shapely.contains_xy(common, at_px)]])
     steps = jacobian(at_px, reference, target)
-    known = np.isfinite(steps).all(axis=(1, 2))
+    finite = np.isfinite(steps).all(axis=(1, 2))
     sizes = np.full((len(at_px), 2), np.inf)
     with np.errstate(divide="ignore"):
-        sizes[known] = np.log(np.linalg.svd(steps[known], compute_uv=False))
-    unlike = np.abs(sizes - np.median(sizes[known], axis=0)).max(axis=1) if known.any() else np.zeros(1)
+        sizes[finite] = np.log(np.linalg.svd(steps[finite], compute_uv=False))
+    unlike = np.abs(sizes - np.median(sizes[finite], axis=0)).max(axis=1) if finite.any() else np.zeros(1)
     return at_px[[0 if unlike[0] <= np.log(ALIKE) else int(np.nanargmin(unlike))]]
 
 

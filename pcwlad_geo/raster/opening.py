@@ -41,8 +41,8 @@ def open_for_reading(uri: str, **options: object) -> DatasetReader:
     user, and `rasterio.errors.RasterioError` if it cannot be opened. The `uri` is a path or a GDAL URI; the
     options are GDAL's.
     """
-    trust, found = current_trust(), destination(uri)
-    if found.where == "network" and not trust.remote:
+    trust, address = current_trust(), destination(uri)
+    if address.where == "network" and not trust.remote:
         raise TrustError(f"{uri} is read over a network: give --allow-remote to allow that")
     if trust.vrt:
         if trust.remote:
@@ -51,8 +51,8 @@ def open_for_reading(uri: str, **options: object) -> DatasetReader:
             local = sorted(set(environment.drivers()) - set(NETWORK_DRIVERS))
         return _dataset_of(uri, local, options)
     try:
-        place = place_of(found) if found.where in ("file", "archive") else None
-        dataset = _dataset_of(uri, _drivers(uri, found, place), options)
+        place = place_of(address) if address.where in ("file", "archive") else None
+        dataset = _dataset_of(uri, _drivers(uri, address, place), options)
         try:
             check_named_by(dataset, place)
         except BaseException:
@@ -72,13 +72,13 @@ def _dataset_of(uri: str, drivers: list[str] | None, options: dict[str, object])
     return DatasetReader(gdal_name(uri), driver=drivers, **options)
 
 
-def _drivers(uri: str, found: Destination, place: Place | None) -> list[str]:
+def _drivers(uri: str, address: Destination, place: Place | None) -> list[str]:
     """Return the drivers for an untrusted file."""
     view = uri.startswith("vrt://")
     if place is None:
-        if found.where == "unknown" or view:
+        if address.where == "unknown" or view:
             raise UntrustedFileError("it cannot be looked at before GDAL opens it")
-        if found.where == "network":
+        if address.where == "network":
             _check_remote_sidecars(uri)
         return list(PLAIN_DRIVERS)
     if view:  # GDAL opens what it shows by itself

@@ -60,17 +60,17 @@ class OutputFormat:
         Raises `SettingsError` if an option requests blocks too large for the memory.
         """
         pairs = (option.partition("=") for option in options)
-        named = {key.upper(): value for key, _, value in pairs}
-        for key in _BLOCK_SIDES & named.keys():
-            check_created_block(key, named[key])
-        return OutputFormat(driver, MappingProxyType(named))
+        values = {key.upper(): value for key, _, value in pairs}
+        for key in _BLOCK_SIDES & values.keys():
+            check_created_block(key, values[key])
+        return OutputFormat(driver, MappingProxyType(values))
 
     @property
     def extension(self) -> str:
         """File extension, without the dot."""
         name = self.driver.upper()
-        known = (end for end, driver in raster_driver_extensions().items() if driver.upper() == name)
-        return _EXTENSIONS.get(name) or next(known, name.lower())
+        endings = (end for end, driver in raster_driver_extensions().items() if driver.upper() == name)
+        return _EXTENSIONS.get(name) or next(endings, name.lower())
 
     @property
     def is_vrt(self) -> bool:
@@ -91,8 +91,8 @@ class OutputFormat:
         (3.10) writes zeros in the place of its block and reports nothing.
         """
         dtype = np.result_type(*source.dtypes)
-        many = 512 * 512 * source.count * dtype.itemsize > _TILE_BYTES
-        block = "256" if many else "512"
+        has_large_tiles = 512 * 512 * source.count * dtype.itemsize > _TILE_BYTES
+        block = "256" if has_large_tiles else "512"
         common = {"COMPRESS": "DEFLATE", "BIGTIFF": "IF_SAFER", "COPY_SRC_MDD": "YES"}
         if self.driver.upper() == "COG":
             # Means, unlike cubic overviews, never overshoot into the nodata value.
@@ -117,10 +117,10 @@ def files_of(path: Path) -> list[Path]:
     if path.suffix.lower() == ".vrt":
         return [path]
     with ignoring(NotGeoreferencedWarning), open_own(path) as dataset:
-        found = [Path(name) for name in dataset.files]
+        files = [Path(name) for name in dataset.files]
     # a file that GDAL writes but does not list
-    found += [path.with_name(f"{path.name}.aux.xml")]
-    sidecars = [file for file in found if file.parent == path.parent and file.name != path.name]
+    files += [path.with_name(f"{path.name}.aux.xml")]
+    sidecars = [file for file in files if file.parent == path.parent and file.name != path.name]
     return [path, *sorted({file for file in sidecars if file.is_file()})]
 
 
@@ -146,8 +146,8 @@ def check_format(fmt: OutputFormat, source_uri: str, grid: Grid) -> None:
     said = map(_words, records)
     options = [text for text in said if "creation option" in text or any(key in text for key in fmt.options)]
     if options and fmt.options:
-        given = ", ".join(f"{key}={value}" for key, value in fmt.options.items())
-        raise SettingsError(f"co = {given}: GDAL's {fmt.driver} says: {options[0]}")
+        user_options = ", ".join(f"{key}={value}" for key, value in fmt.options.items())
+        raise SettingsError(f"co = {user_options}: GDAL's {fmt.driver} says: {options[0]}")
     if fault:
         raise SettingsError(
             f"of = {fmt.driver!r}: GDAL cannot write {Path(source_uri).name} so: {fault}; give another "
@@ -181,9 +181,9 @@ def _changed(path: Path, source: DatasetReader, grid: Grid) -> str | None:
             return "the pixels would lie elsewhere than on the output grid"
         if file.count < source.count:
             return f"it holds {file.count} of {source.count} bands"
-        wanted = np.result_type(*source.dtypes)
-        if not np.can_cast(wanted, np.result_type(*file.dtypes)):
-            return f"it holds {file.dtypes[0]}, not {wanted.name}"
+        dtype = np.result_type(*source.dtypes)
+        if not np.can_cast(dtype, np.result_type(*file.dtypes)):
+            return f"it holds {file.dtypes[0]}, not {dtype.name}"
     return None
 
 
@@ -335,9 +335,9 @@ def _verify_raster(path: Path) -> None:
 
 def _verify_database(path: Path) -> None:
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-        (found,) = database.execute("PRAGMA integrity_check").fetchone()
-    if found != "ok":
-        raise ValueError(found)
+        (answer,) = database.execute("PRAGMA integrity_check").fetchone()
+    if answer != "ok":
+        raise ValueError(answer)
 
 
 def _verify_pdf(path: Path) -> None:

@@ -53,12 +53,12 @@ def pixel_sizes(lattice: Grid, reference: Grid, target: Grid, rasters: Sequence[
         Pixel sizes of the target and then of each raster, map units along the axes of the lattice.
     """
     reference_size = _lengths(reference) if reference.crs == lattice.crs else None
-    own = _own_size(lattice, target, reference_size)
-    first = _size_elsewhere(lattice, target, reference_size) if own is None else own
+    exact = _own_size(lattice, target, reference_size)
+    first = _size_elsewhere(lattice, target, reference_size) if exact is None else exact
     sizes = [first]
     for raster in rasters:
-        own = _own_size(lattice, raster, reference_size)
-        sizes.append(first * _ratio(lattice, raster, target) if own is None else own)
+        exact = _own_size(lattice, raster, reference_size)
+        sizes.append(first * _ratio(lattice, raster, target) if exact is None else exact)
     return sizes
 
 
@@ -133,8 +133,8 @@ def _slopes(lattice: Grid, target: Grid) -> Float64:
     """Return the (2, 2) lattice px per px in the middle of a target, or of what of it the lattice shows."""
     slopes = jacobian(target.middle_px, target, lattice)[0]
     if not np.isfinite(slopes).all():
-        shown, _ = footprint(target, lattice)
-        at_px = shapely.get_coordinates(shown.representative_point())
+        area, _ = footprint(target, lattice)
+        at_px = shapely.get_coordinates(area.representative_point())
         slopes = jacobian(map_px(at_px, lattice, target), target, lattice)[0] if len(at_px) else slopes
     return np.asarray(slopes)
 
@@ -220,11 +220,11 @@ def output_grids(
     if not (reference_grid.located and target_grid.located):
         return [reference_grid] * len(rasters)
     lattice = output_lattice(reference_grid, request)
-    near = bounds_of(footprint(reference_grid, lattice)[0])
-    boxes = [_footprint(own, target_grid, correction, lattice, near) for own in (target_grid, *rasters)]
+    ref_box = bounds_of(footprint(reference_grid, lattice)[0])
+    boxes = [_footprint(grid, target_grid, correction, lattice, ref_box) for grid in (target_grid, *rasters)]
     sizes = pixel_sizes(lattice, reference_grid, target_grid, rasters)
     grids = lay_out(lattice, request, boxes, sizes)
-    source_px = sum(float(each.shape[0]) * each.shape[1] for each in (reference_grid, target_grid, *rasters))
+    source_px = sum(float(grid.shape[0]) * grid.shape[1] for grid in (reference_grid, target_grid, *rasters))
     for grid in grids:
         check_grid("the output grid", grid.shape[::-1], source_px)
         _check_pixel(grid, target_grid)
@@ -329,11 +329,11 @@ def original_pixels(
     maps (n, 2) output pixels (col, row) to (n, 2) pixels (col, row) of the raster. These are continuous and
     NaN almost half the earth around from the middle of the target, or from a place so many `turns` east.
     """
-    placed, turn = own_grid.located and grid.located, target_grid.turn
+    both_located, turn = own_grid.located and grid.located, target_grid.turn
     about = float(target_grid.to_xy(target_grid.middle_px)[0, 0]) + (turns * turn if turns else 0.0)
 
     def mapping(at_px: Float64) -> Float64:
-        if not placed:
+        if not both_located:
             return map_px(correction.forward(at_px), target_grid, own_grid)
         xy = transform_xy(grid.to_xy(at_px), grid.crs, target_grid.crs)
         xy = in_turn(xy, about, turn)
@@ -352,32 +352,34 @@ def corrected_outline(target: Grid, correction: Correction) -> Float64:
     return target.to_xy(correction.inverse(target.boundary_px()))
 
 
-def _footprint(own: Grid, target: Grid, correction: Correction, lattice: Grid, near: Box) -> Box:
+def _footprint(raster: Grid, target: Grid, correction: Correction, lattice: Grid, ref_box: Box) -> Box:
     """Return the bounding box of a corrected raster, lattice px, in the turn of that of the reference."""
-    outline_px = correction.inverse(map_px(own.boundary_px(), own, target))
-    shown, whole = shapely.Polygon(), False
+    outline_px = correction.inverse(map_px(raster.boundary_px(), raster, target))
+    area, whole = shapely.Polygon(), False
     if np.isfinite(outline_px).all():
-        shown, whole = footprint(target, lattice, outline_px)
-    if not whole and np.isfinite(near).all():
-        size = near[1] - near[0]
-        shown = shown.intersection(shapely.box(*(near[0] - size), *(near[1] + size)))
-    if shown.is_empty:
+        area, whole = footprint(target, lattice, outline_px)
+    if not whole and np.isfinite(ref_box).all():
+        size = ref_box[1] - ref_box[0]
+        area = area.intersection(shapely.box(*(ref_box[0] - size), *(ref_box[1] + size)))
+    if area.is_empty:
         raise InputError(
             f"the target's footprint cannot be transformed from {name_of(target.crs)} to "
             f"{name_of(lattice.crs)}: crop it to where that CRS is valid, or use --grid target"
         )
-    return _in_turn_of(near, bounds_of(shown), lattice.turn_px) if whole else bounds_of(shown)
+    return _in_turn_of(ref_box, bounds_of(area), lattice.turn_px) if whole else bounds_of(area)
 
 
-def _in_turn_of(near: Box, box: Box, turn_px: Float64 | None) -> Box:
+def _in_turn_of(ref_box: Box, box: Box, turn_px: Float64 | None) -> Box:
     """Return a box moved around the earth to the reference's, which one of all the earth then holds."""
-    if turn_px is None or not np.isfinite(near).all():
+    if turn_px is None or not np.isfinite(ref_box).all():
         return box
-    turn, middle = float(np.hypot(*turn_px)), (near[0] + near[1]) / 2
-    moved = np.rint((middle - (box[0] + box[1]) / 2) @ turn_px / turn**2) * turn_px
-    low, high = box[0] + moved, box[1] + moved
+    turn, middle = float(np.hypot(*turn_px)), (ref_box[0] + ref_box[1]) / 2
+    shift = np.rint((middle - (box[0] + box[1]) / 2) @ turn_px / turn**2) * turn_px
+    low, high = box[0] + shift, box[1] + shift
     slack = 1e-3 * turn
-    if high[0] - low[0] > turn - slack and (near[0][0] < low[0] - slack or near[1][0] > high[0] + slack):
+    if high[0] - low[0] > turn - slack and (
+        ref_box[0][0] < low[0] - slack or ref_box[1][0] > high[0] + slack
+    ):
         low[0], high[0] = middle[0] - turn / 2, middle[0] + turn / 2
     return low, high
 

@@ -58,8 +58,8 @@ def common_ground(reference: Grid, target: Grid) -> shapely.Geometry:
     low, high = near_px.min(axis=0), near_px.max(axis=0)
     size = np.maximum(high - low, 1.0) / PARAMETERS.points_per_side
     middles = positions(*(np.arange(a - b, c + b, b) for a, b, c in zip(low, size, high, strict=True)))
-    placed, known = _placed(middles, reference, target)
-    middles = middles[known & _inside(target.to_px(target.in_turn(placed)), target)]
+    target_xy, defined = _placed(middles, reference, target)
+    middles = middles[defined & _inside(target.to_px(target.in_turn(target_xy)), target)]
     cells = shapely.box(*(middles - size / 2).T, *(middles + size / 2).T)
     return shown_by(reference, shapely.union_all(cells))
 
@@ -85,8 +85,8 @@ def lon_lat_outline(grid: Grid) -> shapely.MultiPolygon:
     As RFC 7946 (3.1.9) asks, it is cut at 180 degrees, and none of its parts lies beyond. An outline around a
     pole goes along that parallel.
     """
-    xy, known = _placed(grid.boundary_px(PARAMETERS.points_per_side), grid, EARTH)
-    polygon = _polygon_around(xy) if known.all() else _hull_of_defined(grid)
+    xy, defined = _placed(grid.boundary_px(PARAMETERS.points_per_side), grid, EARTH)
+    polygon = _polygon_around(xy) if defined.all() else _hull_of_defined(grid)
     polygons = shown_by(EARTH, shapely.transform(polygon, EARTH.to_px).simplify(1e-7).buffer(0))
     parts = shapely.get_parts(shapely.transform(polygons, EARTH.to_xy))
     return shapely.MultiPolygon([orient(part) for part in parts if part.area > 0])
@@ -106,10 +106,10 @@ def _polygon_around(xy: Float64) -> shapely.Polygon:
 
 def _hull_of_defined(grid: Grid) -> shapely.Geometry:
     """Return the convex hull, longitudes and latitudes, of the places of a raster that are on the earth."""
-    xy, known = _placed(grid.lattice_px(PARAMETERS.points_per_side), grid, EARTH)
-    turned = np.exp(1j * np.radians(xy[known, 0]))
-    middle = float(np.degrees(np.angle(turned.sum()))) if known.any() else 0.0
-    return shapely.MultiPoint(in_turn(xy[known], middle, EARTH.turn)).convex_hull
+    xy, defined = _placed(grid.lattice_px(PARAMETERS.points_per_side), grid, EARTH)
+    turned = np.exp(1j * np.radians(xy[defined, 0]))
+    middle = float(np.degrees(np.angle(turned.sum()))) if defined.any() else 0.0
+    return shapely.MultiPoint(in_turn(xy[defined], middle, EARTH.turn)).convex_hull
 
 
 def lon_lat_bounds(boxes: Sequence[Sequence[float]]) -> tuple[float, float, float, float]:
@@ -182,19 +182,19 @@ def extent_text(grid: Grid, onto: Grid) -> str:
 
 def _placed(points_px: Float64, grid: Grid, onto: Grid) -> tuple[Float64, Bool]:
     """Return (n, 2) map coordinates of a raster's points in another CRS, and which are defined both ways."""
-    own = grid.to_xy(points_px)
-    xy = transform_xy(own, grid.crs, onto.crs)
-    away = in_turn(transform_xy(xy, onto.crs, grid.crs) - own, 0.0, grid.turn)
+    map_xy = grid.to_xy(points_px)
+    xy = transform_xy(map_xy, grid.crs, onto.crs)
+    away = in_turn(transform_xy(xy, onto.crs, grid.crs) - map_xy, 0.0, grid.turn)
     off_px = solve(linear_part(grid.transform), away.T).T
     with np.errstate(invalid="ignore"):
-        known = (np.abs(off_px) <= PARAMETERS.round_trip_px).all(axis=1)
-    return xy, np.asarray(known & np.isfinite(xy).all(axis=1))
+        defined = (np.abs(off_px) <= PARAMETERS.round_trip_px).all(axis=1)
+    return xy, np.asarray(defined & np.isfinite(xy).all(axis=1))
 
 
 def _known_px(points_px: Float64, grid: Grid, onto: Grid) -> Float64:
     """Return the px in another grid of a raster's points, without those that are not defined there."""
-    xy, known = _placed(points_px, grid, onto)
-    return onto.to_px(onto.in_turn(xy[known]))
+    xy, defined = _placed(points_px, grid, onto)
+    return onto.to_px(onto.in_turn(xy[defined]))
 
 
 def _inside(at_px: Float64, grid: Grid) -> Bool:
@@ -204,8 +204,8 @@ def _inside(at_px: Float64, grid: Grid) -> Bool:
 
 def _outline(outline_px: Float64, grid: Grid, onto: Grid) -> shapely.Polygon | None:
     """Return a closed outline in px of another grid; None if some is not defined, cut, or around a pole."""
-    xy, known = _placed(outline_px, grid, onto)
-    if not known.all():
+    xy, defined = _placed(outline_px, grid, onto)
+    if not defined.all():
         return None
     xy = _unwrapped(xy, onto.turn)
     if abs(xy[-1, 0] - xy[0, 0]) > onto.turn / 2:

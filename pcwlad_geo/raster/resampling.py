@@ -64,12 +64,12 @@ def spline_samples(values: Float64, fraction: Float64, positions_rc: Float64) ->
     """
     from scipy.ndimage import distance_transform_edt, map_coordinates  # slow to load, and seldom needed
 
-    known = fraction > 0
-    if not known.any():
+    has_data = fraction > 0
+    if not has_data.any():
         nothing = np.zeros(positions_rc.shape[1:])
         return nothing, nothing
-    if not known.all():
-        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    if not has_data.all():
+        nearest = distance_transform_edt(~has_data, return_distances=False, return_indices=True)
         values = values[tuple(nearest)]
     indices = np.where(np.isfinite(positions_rc), positions_rc - 0.5, -1e6)
     samples = map_coordinates(values, indices, order=3, mode="nearest")
@@ -121,8 +121,8 @@ def _overlaps(edges: Float64, size: int) -> csr_array:
     length = np.minimum(high[:, None], pixel + 1.0) - np.maximum(low[:, None], pixel)
     share = np.maximum(length, 0.0) / (high - low)[:, None]
     cell = np.broadcast_to(np.arange(len(low))[:, None], pixel.shape)
-    kept = (share > 0) & (pixel >= 0) & (pixel < size)
-    return csr_array((share[kept], (cell[kept], pixel[kept])), shape=(len(low), size))
+    inside = (share > 0) & (pixel >= 0) & (pixel < size)
+    return csr_array((share[inside], (cell[inside], pixel[inside])), shape=(len(low), size))
 
 
 def _divided(total: Float64, fraction: Float64) -> Float64:

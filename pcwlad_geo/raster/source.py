@@ -182,19 +182,19 @@ def with_areas(info: RasterInfo, aoi: PathLike | None, exclude: PathLike | None)
 
     Raises `InputError` if a file cannot be used, the band is not georeferenced, or nothing of it is left.
     """
-    named = " and ".join(os.fspath(path) for path in (aoi, exclude) if path is not None)
-    if not named:
+    paths = " and ".join(os.fspath(path) for path in (aoi, exclude) if path is not None)
+    if not paths:
         return info
     if info.grid.crs is None:
         raise InputError(
-            f"{info.uri} has no georeferencing, so that the areas of {named} have no place: give a mask"
+            f"{info.uri} has no georeferencing, so that the areas of {paths} have no place: give a mask"
         )
     areas = Areas(*(None if path is None else read_areas(path, info.grid) for path in (aoi, exclude)))
     rows, cols = info.grid.shape
     factor = max(1.0, max(rows, cols) / 1024)
     coarse = info.grid.scaled((math.ceil(rows / factor), math.ceil(cols / factor)))
     if not areas.valid(Window.whole(coarse.shape), coarse).any():
-        raise InputError(f"{named} leaves nothing of {info.uri}: check the areas, and their CRS")
+        raise InputError(f"{paths} leaves nothing of {info.uri}: check the areas, and their CRS")
     return replace(info, areas=areas)
 
 
@@ -234,11 +234,11 @@ def mask_on_pixels(info: RasterInfo, mask_grid: Grid) -> bool:
 def check_band(uri: str, dataset: DatasetReader, band: int) -> None:
     """Raise `InputError` if an open raster has no such band, or the band is complex."""
     if dataset.count == 0 and dataset.subdatasets:
-        first, *others = dataset.subdatasets
-        ends = ", ".join(re.split("[/:]", name)[-1] for name in others[:MAX_NAMED])
+        first, *siblings = dataset.subdatasets
+        ends = ", ".join(re.split("[/:]", name)[-1] for name in siblings[:MAX_NAMED])
         raise InputError(
             f"{uri} holds subdatasets, not bands: give one of them, such as {first}"
-            + (f"; the others end in {ends}{' …' * (len(others) > MAX_NAMED)}" if others else "")
+            + (f"; the others end in {ends}{' …' * (len(siblings) > MAX_NAMED)}" if siblings else "")
         )
     if dataset.driver == "HDF5Image" and 2 * dataset.height < min(dataset.count, dataset.width):
         raise InputError(
@@ -251,9 +251,9 @@ def check_band(uri: str, dataset: DatasetReader, band: int) -> None:
             f"{uri} is empty ({dataset.count} bands of {dataset.width} x {dataset.height} pixels)"
         )
     if not 1 <= band <= dataset.count:
-        held = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
+        content = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
         raise InputError(
-            f"{uri} holds {held}, and band {band} was asked for: give one from 1 to {dataset.count}"
+            f"{uri} holds {content}, and band {band} was asked for: give one from 1 to {dataset.count}"
         )
     dtype = dataset.dtypes[band - 1]
     if "complex" in dtype:

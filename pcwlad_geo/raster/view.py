@@ -250,13 +250,13 @@ def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[
     valid = np.zeros(window.shape, dtype=bool)
     if inside.empty:
         return values, valid
-    here = inside.slices_in(window)
-    values[here], valid[here] = _read_bands(bands_of(info), info.fills, inside, overview)
-    valid[here] &= valid_in_mask_file(info, inside)
+    slices = inside.slices_in(window)
+    values[slices], valid[slices] = _read_bands(bands_of(info), info.fills, inside, overview)
+    valid[slices] &= valid_in_mask_file(info, inside)
     if info.areas is not None:
-        valid[here] &= info.areas.valid(inside, info.grid)
+        valid[slices] &= info.areas.valid(inside, info.grid)
     if info.collar is not None:
-        valid[here] &= info.collar.valid(inside, info.grid.shape)
+        valid[slices] &= info.collar.valid(inside, info.grid.shape)
     if info.brightness is not None:
         values = np.frombuffer(info.brightness, np.uint8)[values]
     values[~valid] = 0
@@ -275,10 +275,10 @@ def _read_bands(
             for window, read, good in _read_layers(dataset, parts, fills, inside):
                 if len(bands.parts) == 1:
                     return read[0], good[0]
-                here = window.slices_in(inside)
-                valid[here] &= np.logical_and.reduce(good)
-                for part, layer, known in zip(parts, read, good, strict=True):
-                    total[here] += part.weight * np.where(known, layer, 0).astype(np.float64)
+                slices = window.slices_in(inside)
+                valid[slices] &= np.logical_and.reduce(good)
+                for part, layer, mask in zip(parts, read, good, strict=True):
+                    total[slices] += part.weight * np.where(mask, layer, 0).astype(np.float64)
     return total, valid
 
 
@@ -287,7 +287,7 @@ def _read_layers(
 ) -> Iterator[tuple[Window, list[NDArray[np.generic]], list[Bool]]]:
     """Yield the values and validities of bands of a file, by as many rows as fit into memory."""
     numbers = [part.band for part in parts]
-    alike = len({dataset.dtypes[number - 1] for number in numbers}) == 1
+    one_dtype = len({dataset.dtypes[number - 1] for number in numbers}) == 1
     count = inside.rows if len(parts) == 1 else max(1, _MAX_VALUES // (len(parts) * inside.cols))
     for row in range(inside.row, inside.row_stop, count):
         window = Window(row, inside.col, min(count, inside.row_stop - row), inside.cols)
@@ -295,7 +295,7 @@ def _read_layers(
         try:
             read = list(
                 dataset.read(numbers, window=place)
-                if alike
+                if one_dtype
                 else (dataset.read(number, window=place) for number in numbers)
             )
             good = [
@@ -303,7 +303,7 @@ def _read_layers(
                 for part, layer in zip(parts, read, strict=True)
             ]
             for fill in fills:
-                good = [known & fill.is_data(layer) for known, layer in zip(good, read, strict=True)]
+                good = [mask & fill.is_data(layer) for mask, layer in zip(good, read, strict=True)]
         except GDAL_ERRORS as error:
             raise InputError(
                 f"{parts[0].path}: {Bands(tuple(parts)).numbers} cannot be read at rows {window.row} to "
@@ -329,15 +329,15 @@ def with_bands(info: RasterInfo, bands: Bands) -> RasterInfo:
     parts, dtype = _parts_of(info, bands)
     read, good = _samples(info, parts)
     if bands.principal:
-        varies = [known.any() and np.ptp(layer[known]) > 0 for layer, known in zip(read, good, strict=True)]
+        varies = [mask.any() and np.ptp(layer[mask]) > 0 for layer, mask in zip(read, good, strict=True)]
         count = good.sum(axis=1)
-        kept = np.flatnonzero(varies & (2 * count >= count.max()))
-        kept = kept if kept.size else np.arange(1)
-        parts, read, good = [parts[each] for each in kept.tolist()], read[kept], good[kept]
+        usable = np.flatnonzero(varies & (2 * count >= count.max()))
+        usable = usable if usable.size else np.arange(1)
+        parts, read, good = [parts[index] for index in usable.tolist()], read[usable], good[usable]
     weights = _weights(read[:, good.all(axis=0)], principal=bands.principal)
     several = tuple(
-        replace(part, weight=weight, limits=plausible_limits(layer[known]))
-        for part, weight, layer, known in zip(parts, weights, read, good, strict=True)
+        replace(part, weight=weight, limits=plausible_limits(layer[mask]))
+        for part, weight, layer, mask in zip(parts, weights, read, good, strict=True)
     )
     return replace(
         info, band=parts[0].band, dtype=dtype, brightness=None, several=Bands(several, bands.principal)
@@ -375,21 +375,21 @@ def _samples(info: RasterInfo, parts: Sequence[BandPart]) -> tuple[Float64, Bool
     allowed = [valid_in_mask_file(info, window) for window in windows]
     if info.collar is not None:
         allowed = [
-            each & info.collar.valid(window, info.grid.shape)
-            for each, window in zip(allowed, windows, strict=True)
+            mask & info.collar.valid(window, info.grid.shape)
+            for mask, window in zip(allowed, windows, strict=True)
         ]
     values = np.zeros((len(parts), len(windows), windows[0].area_px2))
     valid = np.zeros(values.shape, bool)
-    done = 0
+    count = 0
     for path, group in groupby(parts, key=attrgetter("path")):
-        own = list(group)
-        here = slice(done, done := done + len(own))
+        file_parts = list(group)
+        rows = slice(count, count := count + len(file_parts))
         with open_raster(path) as dataset:
             for number, window in enumerate(windows):
                 with suppress(InputError):  # the tile that holds it reports what cannot be read
-                    for _, read, good in _read_layers(dataset, own, info.fills, window):
-                        values[here, number] = np.reshape(read, (len(own), -1))
-                        valid[here, number] = np.reshape(good & allowed[number], (len(own), -1))
+                    for _, read, good in _read_layers(dataset, file_parts, info.fills, window):
+                        values[rows, number] = np.reshape(read, (len(file_parts), -1))
+                        valid[rows, number] = np.reshape(good & allowed[number], (len(file_parts), -1))
     values[~valid] = 0
     return values.reshape(len(parts), -1), valid.reshape(len(parts), -1)
 
@@ -417,11 +417,11 @@ def _overview_for(info: RasterInfo, step_px: float) -> int | None:
     """Choose the coarsest overview that is at least twice as fine as the requested pixels."""
     if info.mask_grid is not None and not (info.georeferenced and info.mask_grid.crs is not None):
         return None  # a mask without georeferencing has the original's pixels
-    found = []
+    overviews = []
     for part in {part.path: part for part in bands_of(info).parts}.values():
         with open_raster(part.path) as dataset:
-            found.append(dataset.overviews(part.band))
-    factors = found[0] if all(each == found[0] for each in found) else []
+            overviews.append(dataset.overviews(part.band))
+    factors = overviews[0] if all(listed == overviews[0] for listed in overviews) else []
     fine_enough = [level for level, factor in enumerate(factors) if factor <= step_px / 2]
     return max(fine_enough, default=None, key=lambda level: factors[level])
 
@@ -443,17 +443,17 @@ def file_px_per_px(view: View) -> Float64:
     file_grid = at_mean_height(view.info.grid)
     at_px = np.concatenate([view.grid.middle_px, view.grid.lattice_px(5)])
     lengths = np.linalg.norm(jacobian(at_px, view.grid, file_grid), axis=1)
-    known = np.isfinite(lengths).all(axis=1)
-    if not known.any():  # outside the projection's domain nothing is read
+    finite = np.isfinite(lengths).all(axis=1)
+    if not finite.any():  # outside the projection's domain nothing is read
         return np.ones(2)
-    typical, middle = np.median(lengths[known], axis=0), lengths[0]
-    alike = known[0] and bool((np.maximum(middle, typical) <= 2 * np.minimum(middle, typical)).all())
-    return np.asarray(middle if alike else typical)
+    typical, middle = np.median(lengths[finite], axis=0), lengths[0]
+    is_typical = finite[0] and bool((np.maximum(middle, typical) <= 2 * np.minimum(middle, typical)).all())
+    return np.asarray(middle if is_typical else typical)
 
 
 def _patch(dtype: str, values: NDArray[np.generic], valid: Bool) -> Patch:
     """Return values in the float type that holds a band's values without loss, 0 where not valid."""
-    kept = np.where(valid, values, 0)
+    known_values = np.where(valid, values, 0)
     if dtype in ("uint8", "int8", "uint16", "int16", "float16", "float32"):
-        return Patch(kept.astype(np.float32), valid)
-    return Patch(kept.astype(np.float64), valid)
+        return Patch(known_values.astype(np.float32), valid)
+    return Patch(known_values.astype(np.float64), valid)

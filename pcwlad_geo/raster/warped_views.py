@@ -97,7 +97,7 @@ class UnreadableParts:
         else:
             self._count_read(block, nothing(Window(0, 0, 1, 1)))
             return block
-        col, row, cols, rows = (int(each) for each in window.flatten())
+        col, row, cols, rows = (int(value) for value in window.flatten())
         halves = [
             Window(half.col, half.row, half.cols, half.rows)
             for half in PixelWindow(row, col, rows, cols).halves()
@@ -106,8 +106,8 @@ class UnreadableParts:
         return np.concatenate(parts, 1 if rows >= cols else 2)
 
     def _count_read(self, block: Block, nothing: Block) -> None:
-        some = block[:, ::_STRIDE, ::_STRIDE]
-        same = _empty(some, nothing)
+        sampled = block[:, ::_STRIDE, ::_STRIDE]
+        same = _empty(sampled, nothing)
         with self._lock:
             self.read_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
 
@@ -250,31 +250,31 @@ def warped_blocks(
     """
     rows = [list(row) for _, row in groupby(windows, key=lambda window: window.row_off)]
     count = min(os.cpu_count() or 1, MAX_THREADS, len(rows))
-    done: queue.Queue[tuple[Window, Block] | BaseException] = queue.Queue(maxsize=count)
+    blocks: queue.Queue[tuple[Window, Block] | BaseException] = queue.Queue(maxsize=count)
     stop = threading.Event()
 
-    def read(own: Sequence[Window]) -> None:
+    def read(share: Sequence[Window]) -> None:
         try:
             with ExitStack() as stack:
-                warped, *others = [stack.enter_context(view()) for view in views]
+                warped, *fallbacks = [stack.enter_context(view()) for view in views]
                 nothing = filled(_values_of_nothing(warped), np.dtype(np.result_type(*warped.dtypes)))
                 least = warped.block_shapes[0]  # GDAL warps whole blocks: smaller parts would fail too
 
                 def part(window: Window) -> Block:
                     block = np.asarray(warped.read(window=window))
-                    for other in others:
+                    for other in fallbacks:
                         empty = _empty(block, nothing(Window(0, 0, 1, 1)))
                         block = np.where(empty, other.read(window=window), block)
                     return block
 
-                for window in own:
-                    done.put((window, unreadable.read(part, window, nothing, least)))
+                for window in share:
+                    blocks.put((window, unreadable.read(part, window, nothing, least)))
                     if stop.is_set():
                         return
         except GDAL_ERRORS as error:
-            done.put(InputError(f"{unreadable.name} cannot be read: {root_cause(error)}"))
+            blocks.put(InputError(f"{unreadable.name} cannot be read: {root_cause(error)}"))
         except BaseException as error:  # raised in the thread that consumes the blocks
-            done.put(error)
+            blocks.put(error)
 
     shares = [[window for row in rows[first::count] for window in row] for first in range(count)]
     # each with the permissions of this thread, which threads do not inherit
@@ -285,10 +285,10 @@ def warped_blocks(
         for thread in threads:
             thread.start()
         for _ in windows:
-            yield _checked(done.get())
+            yield _checked(blocks.get())
     finally:
         stop.set()
-        _drain(done, threads)
+        _drain(blocks, threads)
 
 
 def _values_of_nothing(warped: DatasetReader) -> list[float]:
@@ -305,10 +305,10 @@ def _checked(item: tuple[Window, Block] | BaseException) -> tuple[Window, Block]
     return item
 
 
-def _drain(done: queue.Queue[Any], threads: Sequence[threading.Thread]) -> None:
+def _drain(blocks: queue.Queue[Any], threads: Sequence[threading.Thread]) -> None:
     """Empty the queue until every thread has ended."""
     while any(thread.is_alive() for thread in threads):
         try:
-            done.get(timeout=0.05)
+            blocks.get(timeout=0.05)
         except queue.Empty:
             continue

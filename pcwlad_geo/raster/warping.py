@@ -222,25 +222,26 @@ def write_warped(
     return warning
 
 
-def check_geometry(source_path: str | Path, own: Grid, target: Grid) -> None:
+def check_geometry(source_path: str | Path, raster: Grid, target: Grid) -> None:
     """Check that a correction of the target's pixels can be applied to a raster.
 
     Raises `InputError` if the two are in different CRSs, or have different sizes and no CRS.
     """
-    if own.crs != target.crs:
+    if raster.crs != target.crs:
         raise InputError(
-            f"{source_path} is in {name_of(own.crs)}, the registered target in {name_of(target.crs)}: "
+            f"{source_path} is in {name_of(raster.crs)}, the registered target in {name_of(target.crs)}: "
             "give a raster in the same CRS"
         )
-    if target.located and not own.located:
+    if target.located and not raster.located:
         raise InputError(
             f"{source_path} has no geotransform in the plane of the registered target: give it one "
             "(gdal_edit.py -a_ullr), or a raster that has one"
         )
-    if not own.located and own.shape != target.shape:
+    if not raster.located and raster.shape != target.shape:
         raise InputError(
-            f"{source_path} has {own.shape[1]} x {own.shape[0]} pixels and no georeferencing, the registered "
-            f"target {target.shape[1]} x {target.shape[0]}: give one of the same size, or georeference it"
+            f"{source_path} has {raster.shape[1]} x {raster.shape[0]} pixels and no georeferencing, the "
+            f"registered target {target.shape[1]} x {target.shape[0]}: give one of the same size, "
+            "or georeference it"
         )
 
 
@@ -269,13 +270,13 @@ def _dense_view(
     turns: float,
 ) -> str:
     """Write the VRT of a warped raster, see `original_pixels`, and return its path."""
-    own, target, out = grids
-    mapping = original_pixels(own, target, correction, out, turns=turns)
+    source_grid, target, out = grids
+    mapping = original_pixels(source_grid, target, correction, out, turns=turns)
     rows, cols = out.shape
     ends = np.array([cols, rows]) / 2 + 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    moved = mapping(ends)
-    step = np.stack([moved[0] - moved[1], moved[2] - moved[3]], axis=1)
-    own_px, out_px = (Grid(grid.shape, _PIXELS, None) for grid in (own, out))
+    mapped = mapping(ends)
+    step = np.stack([mapped[0] - mapped[1], mapped[2] - mapped[3]], axis=1)
+    own_px, out_px = (Grid(grid.shape, _PIXELS, None) for grid in (source_grid, out))
     options = _warp_options(source, own_px, out_px, method, step) | request.options()
     dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
     folder = request.scratch / f"{turns:g}"
@@ -285,10 +286,10 @@ def _dense_view(
 
 def _in_one_turn(grids: tuple[Grid, Grid, Grid], correction: AffineCorrection) -> bool:
     """Whether GDAL, to which 180 degrees east and west are two places, maps all of a raster to the output."""
-    placed, out = _corrected_grid(*grids[:2], correction, grids[2]), grids[2]
-    turn = placed.turn
-    x, out_x = (grid.to_xy(grid.boundary_px())[:, 0] for grid in (placed, out))
-    if np.isinf(turn) or placed.crs == out.crs:  # no other turn of the raster is in the output
+    corrected, out = _corrected_grid(*grids[:2], correction, grids[2]), grids[2]
+    turn = corrected.turn
+    x, out_x = (grid.to_xy(grid.boundary_px())[:, 0] for grid in (corrected, out))
+    if np.isinf(turn) or corrected.crs == out.crs:  # no other turn of the raster is in the output
         return bool(x.max() - turn <= out_x.min() and out_x.max() <= x.min() + turn)
     return bool((np.abs(x) <= turn / 2 * (1 + 1e-9)).all() and (np.abs(out_x) <= out.turn / 2).all())
 
@@ -297,10 +298,10 @@ def _affine_options(
     source: DatasetReader, grids: tuple[Grid, Grid, Grid], correction: AffineCorrection, method: Resampling
 ) -> dict[str, object]:
     """Return the options by which GDAL's warper applies a correction that a geotransform can represent."""
-    own, target, out = grids
-    placed = _corrected_grid(own, target, correction, out)
-    step = jacobian(map_px(own.middle_px, placed, out), out, placed)[0]
-    return _warp_options(source, placed, out, method, step)
+    source_grid, target, out = grids
+    corrected = _corrected_grid(source_grid, target, correction, out)
+    step = jacobian(map_px(source_grid.middle_px, corrected, out), out, corrected)[0]
+    return _warp_options(source, corrected, out, method, step)
 
 
 def _write_vrt(
@@ -333,17 +334,19 @@ def _warped(uri: str, options: dict[str, object]) -> Iterator[DatasetReader]:
         yield view
 
 
-def _corrected_grid(own: Grid, target: Grid, correction: AffineCorrection, out: Grid) -> Grid:
+def _corrected_grid(source_grid: Grid, target: Grid, correction: AffineCorrection, out: Grid) -> Grid:
     """Return the corrected grid of the source's pixels, in the CRS of the source or of the output."""
-    if not (own.located and out.located):
+    if not (source_grid.located and out.located):
         # Without georeferencing the predicted target pixel is the output pixel.
         target = Grid(target.shape, out.transform, out.crs)
-        return Grid(own.shape, vrt.corrected_transform(target, correction), out.crs)
+        return Grid(source_grid.shape, vrt.corrected_transform(target, correction), out.crs)
     transform = vrt.corrected_transform(target, correction)
-    if own.transform != target.transform:
+    if source_grid.transform != target.transform:
         # Another pixel size of the same sensor: the correction moves the ground, T·A⁻¹·T⁻¹.
-        transform = vrt.compose(transform, ~target.transform, own.transform)
-    return Grid(own.shape, transform, own.crs).in_turn_of(out if own.crs == out.crs else own)
+        transform = vrt.compose(transform, ~target.transform, source_grid.transform)
+    return Grid(source_grid.shape, transform, source_grid.crs).in_turn_of(
+        out if source_grid.crs == out.crs else source_grid
+    )
 
 
 @contextmanager
@@ -399,7 +402,7 @@ def _write_pixels(
         sink(path, profile) as written,
         closing(blocks_of(source, method, request)) as blocks,
     ):
-        for done, (window, block) in enumerate(blocks, start=1):
+        for count, (window, block) in enumerate(blocks, start=1):
             if fills and nodata is not None:
                 fill(block[0], block[1] != 0, nodata)
             with raising_gdal_reports():
@@ -408,15 +411,15 @@ def _write_pixels(
                     mask = np.where(block[source.count] != 0, 255, 0).astype(np.uint8)
                     written.write_mask(mask, window=window)
             if progress is not None:
-                progress(done, len(windows))
+                progress(count, len(windows))
     return vrt.PixelFile(path.name, True, needs_mask, (nodata,) * source.count)
 
 
 def _warp_options(
-    source: DatasetReader, placed: Grid, grid: Grid, method: Resampling, step: Float64
+    source: DatasetReader, source_grid: Grid, grid: Grid, method: Resampling, step: Float64
 ) -> dict[str, object]:
     """Return the options of GDAL's warper; `step` is the (2, 2) source px per output px."""
-    source_place = {"src_transform": placed.transform, "src_crs": placed.crs}
+    source_place = {"src_transform": source_grid.transform, "src_crs": source_grid.crs}
     place = {"crs": grid.crs, "transform": grid.transform, "height": grid.shape[0], "width": grid.shape[1]}
     how = {"tolerance": _TOLERANCE_PX, "dtype": np.result_type(*source.dtypes).name}
     return source_place | place | how | kernel(method, step)

@@ -92,10 +92,10 @@ class Undulation:
             return np.full(len(lon_lat), self.values_m[0])
         index = (lon_lat - [self.west, self.south]) / self.step
         index = np.clip(index, 0, np.array(self.shape[::-1]) - 1.0)  # the lattice covers the scene
-        known = np.isfinite(index).all(axis=1)  # a position outside the DEM has no coordinates
-        found = np.full(len(index), np.nan)
-        found[known] = _bilinear(np.array(self.values_m).reshape(self.shape), index[known])
-        return found
+        finite = np.isfinite(index).all(axis=1)  # a position outside the DEM has no coordinates
+        undulations = np.full(len(index), np.nan)
+        undulations[finite] = _bilinear(np.array(self.values_m).reshape(self.shape), index[finite])
+        return undulations
 
     @property
     def mean_m(self) -> float:
@@ -178,8 +178,8 @@ class Dem:
         window = Window.from_bounds(int(first[1]), int(first[0]), int(last[1]), int(last[0]))
         if window.area_px2 > MAX_PX_AT_ONCE and max(window.shape) > 2:
             axis = 0 if window.cols >= window.rows else 1
-            near = index[:, axis] < first[axis] + max(window.shape) // 2
-            for half in (inside[near], inside[~near]):
+            in_first = index[:, axis] < first[axis] + max(window.shape) // 2
+            for half in (inside[in_first], inside[~in_first]):
                 heights[half] = self._own(dem_px[half])
             return heights
         heights[inside] = _bilinear(self._read(window), index - first)
@@ -359,14 +359,14 @@ def relief(
     parts = (np.arange(count) + 0.5) / count - 0.5
     offsets_px = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2) * window_px @ rate.T
     step_px = max(1.0, 0.5 * window_px / count * float(np.sqrt(abs(np.linalg.det(rate)))))
-    given = [dem.at_px(at_px + offset_px, lon_lat) for offset_px in offsets_px]
+    unmoved = [dem.at_px(at_px + offset_px, lon_lat) for offset_px in offsets_px]
 
     def higher(by_px: Float64) -> Float64:
-        moved = [dem.at_px(at_px + offset_px - by_px, lon_lat) for offset_px in offsets_px]
-        change = np.stack(moved) - np.stack(given)
-        known = np.isfinite(change).any(axis=0)
+        heights = [dem.at_px(at_px + offset_px - by_px, lon_lat) for offset_px in offsets_px]
+        change = np.stack(heights) - np.stack(unmoved)
+        finite = np.isfinite(change).any(axis=0)
         result = np.zeros(len(at_px))
-        result[known] = np.nanmedian(change[:, known], axis=0)
+        result[finite] = np.nanmedian(change[:, finite], axis=0)
         return result
 
     # higher where the ground rises against the direction in which the DEM is moved

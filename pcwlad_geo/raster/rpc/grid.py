@@ -79,13 +79,13 @@ class RpcGrid(Grid):
         height = np.full(len(file_px), self.level_m)
         lon_lat = self.rpc.to_ground(file_px, height)
         for _ in range(40):
-            found = self.heights.nearest(lon_lat)
-            step = np.where(np.isnan(found), 0.0, found - height)  # a hole may be crossed
+            heights = self.heights.nearest(lon_lat)
+            step = np.where(np.isnan(heights), 0.0, heights - height)  # a hole may be crossed
             height = height + step
             lon_lat = self.rpc.to_ground(file_px, height, lon_lat)
             if not np.any(np.abs(step) > 1e-4):
                 break
-        return lon_lat, np.where(np.isnan(found), np.nan, height)
+        return lon_lat, np.where(np.isnan(heights), np.nan, height)
 
     def file_to_own_px(self, file_px: Float64) -> Float64:
         """Map (n, 2) pixels `file_px` (col, row) of the file to (n, 2) pixels of this grid."""
@@ -128,15 +128,15 @@ def footprint_px(grid: Grid, onto: Grid) -> shapely.Geometry:
 
     It is a convex outline, px (col, row) of the grid `onto`; empty where there is none.
     """
-    placed = map_px(grid.lattice_px(LATTICE), grid, onto)
-    outline = shapely.MultiPoint(placed[np.isfinite(placed).all(axis=1)]).convex_hull
+    at_px = map_px(grid.lattice_px(LATTICE), grid, onto)
+    outline = shapely.MultiPoint(at_px[np.isfinite(at_px).all(axis=1)]).convex_hull
     if not (isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem)):
         return outline
     dem = grid.heights.grid
-    known = map_px(dem.boundary_px(), dem, onto)
-    if not np.isfinite(known).all():  # the DEM covers half the earth
+    dem_outline = map_px(dem.boundary_px(), dem, onto)
+    if not np.isfinite(dem_outline).all():  # the DEM covers half the earth
         return outline
-    edge = shapely.Polygon(known)
+    edge = shapely.Polygon(dem_outline)
     return outline.intersection(edge) if edge.is_valid else outline
 
 
@@ -169,5 +169,5 @@ def _positions(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) -> F
     height = (
         heights.at_px(sampled(heights.grid), lon_lat) if isinstance(heights, Dem) else heights.at(lon_lat)
     )
-    own = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height])))
-    return np.ascontiguousarray(own[:, ::-1].T).reshape(2, window.rows * per_px, window.cols * per_px)
+    own_px = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height])))
+    return np.ascontiguousarray(own_px[:, ::-1].T).reshape(2, window.rows * per_px, window.cols * per_px)

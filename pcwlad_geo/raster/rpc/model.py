@@ -74,35 +74,35 @@ class RpcModel:
         return result
 
     def to_ground(
-        self, pixel_xy_px: Float64, height_m: Float64 | float, near: Float64 | None = None
+        self, pixel_xy_px: Float64, height_m: Float64 | float, start: Float64 | None = None
     ) -> Float64:
         """Map the (n, 2) `pixel_xy_px` (col, row) at given heights to the ground, by Newton's method.
 
-        The (n,) or single `height_m` are metres above the ellipsoid; (n, 2) places `near` the ground, where
-        they are known, save steps. The result is (n, 2) longitude and latitude, degrees, to 1e-7 px; NaN
+        The (n,) or single `height_m` are metres above the ellipsoid; (n, 2) ground places `start` near
+        the solution save steps. The result is (n, 2) longitude and latitude, degrees, to 1e-7 px; NaN
         where there is no solution.
         """
         pixel_xy_px = np.asarray(pixel_xy_px, dtype=np.float64)
         u = np.zeros((len(pixel_xy_px), 3))
-        if near is not None:
-            u[:, :2] = np.nan_to_num(self.normalised(np.column_stack([near, u[:, 2]]))[:, :2])
+        if start is not None:
+            u[:, :2] = np.nan_to_num(self.normalised(np.column_stack([start, u[:, 2]]))[:, :2])
         u[:, 2] = (np.asarray(height_m, dtype=np.float64) - self.height_off) / self.height_scale
         miss_px = np.full(len(u), np.inf)
-        left = np.arange(len(u))
+        pending = np.arange(len(u))
         for _ in range(30):
-            found, slopes = self._linearised(u[left])
-            miss = pixel_xy_px[left] - found
-            miss_px[left] = np.abs(miss).max(axis=1, initial=0.0)
+            px, slopes = self._linearised(u[pending])
+            miss = pixel_xy_px[pending] - px
+            miss_px[pending] = np.abs(miss).max(axis=1, initial=0.0)
             # the others go on: of a wild RPC most pixels never get there
-            going_on = miss_px[left] > INVERSE_TOLERANCE_PX
-            going_on &= np.isfinite(miss_px[left])
-            left = left[going_on]
-            if not left.size:
+            going_on = miss_px[pending] > INVERSE_TOLERANCE_PX
+            going_on &= np.isfinite(miss_px[pending])
+            pending = pending[going_on]
+            if not pending.size:
                 break
-            u[left, :2] += np.clip(solve_2x2(slopes[going_on], miss[going_on]), -1.0, 1.0)
-        there = miss_px <= 100 * INVERSE_TOLERANCE_PX
+            u[pending, :2] += np.clip(solve_2x2(slopes[going_on], miss[going_on]), -1.0, 1.0)
+        converged = miss_px <= 100 * INVERSE_TOLERANCE_PX
         lon_lat = u[:, :2] * [self.long_scale, self.lat_scale] + [self.long_off, self.lat_off]
-        return np.where(there[:, None], lon_lat, np.nan)
+        return np.where(converged[:, None], lon_lat, np.nan)
 
     def px_per_metre_of_height(self, ground: Float64) -> Float64:
         """Return the (n, 2) displacement (col, row) in px per metre of height at (n, 3) `ground` points."""
@@ -112,15 +112,15 @@ class RpcModel:
     def normalised(self, ground: Float64) -> Float64:
         """Return the (n, 3) normalised coordinates of `ground` (n, 3): -1 to 1 within the scene."""
         offset = np.array([self.long_off, self.lat_off, self.height_off])
-        moved: Float64 = np.asarray(ground, dtype=np.float64) - offset
-        moved[:, 0] = (moved[:, 0] + 180.0) % 360.0 - 180.0  # scenes at the date line
-        return moved / [self.long_scale, self.lat_scale, self.height_scale]
+        relative: Float64 = np.asarray(ground, dtype=np.float64) - offset
+        relative[:, 0] = (relative[:, 0] + 180.0) % 360.0 - 180.0  # scenes at the date line
+        return relative / [self.long_scale, self.lat_scale, self.height_scale]
 
     def _linearised(self, normalised: Float64) -> tuple[Float64, Float64]:
         """Return (n, 2) pixels (col, row), and (n, 2, 2) derivatives by normalised longitude, latitude."""
         terms = polynomial_terms(normalised)
-        found = self._fractions(np.hstack([terms, *derived_terms(terms)]))
-        (upper, *uppers), (lower, *lowers) = (np.split(each, 3, axis=1) for each in found)
+        fractions = self._fractions(np.hstack([terms, *derived_terms(terms)]))
+        (upper, *uppers), (lower, *lowers) = (np.split(part, 3, axis=1) for part in fractions)
         ratios = upper / lower
         slopes = [(u - ratios * d) / lower for u, d in zip(uppers, lowers, strict=True)]
         return ratios.T * self._scale + self._offset, np.array(slopes).T * self._scale[:, None]
@@ -186,8 +186,8 @@ def covered_range(rpc: RpcModel, shape: tuple[int, int], heights_m: tuple[float,
     low = min(heights_m[0], rpc.height_off - abs(rpc.height_scale))
     high = max(heights_m[1], rpc.height_off + abs(rpc.height_scale))
     _, ground = _image_lattice(rpc, shape, (low, high), CHECK_NODES)
-    found = rpc.normalised(ground[np.isfinite(ground).all(axis=1)])
-    return WHOLE_RANGE if len(found) == 0 else np.stack([found.min(axis=0), found.max(axis=0)])
+    normalised = rpc.normalised(ground[np.isfinite(ground).all(axis=1)])
+    return WHOLE_RANGE if len(normalised) == 0 else np.stack([normalised.min(axis=0), normalised.max(axis=0)])
 
 
 def apply_bias(rpc: RpcModel, correction: AffineCorrection, covered: Float64 | None = None) -> RpcModel:
@@ -261,9 +261,9 @@ def _refitted(
 ) -> Coefficients:
     """Return the numerator whose ratio is increased by (n,) `added` at n points with (20, n) `terms`."""
     design = (terms / (np.array(denominator) @ terms)).T
-    left, singular, right = np.linalg.svd(design, full_matrices=False)
+    left_vectors, singular, right = np.linalg.svd(design, full_matrices=False)
     ridge = (1e-12 * singular[0]) ** 2  # 1e-6 would cause errors of 0.01 px
-    change = right.T @ (singular / (singular**2 + ridge) * (left.T @ added))
+    change = right.T @ (singular / (singular**2 + ridge) * (left_vectors.T @ added))
     values: list[float] = (np.array(numerator) + change).tolist()
     if len(values) != TERMS:
         raise ValueError(f"an RPC polynomial has {TERMS} coefficients, not {len(values)}")
@@ -299,10 +299,10 @@ def carried(
     predicted, ground = _image_lattice(sibling, shape, heights_m, SIBLING_NODES)
     claimed = original.to_ground(corrected.to_px(ground), ground[:, 2])
     observed = sibling.to_px(np.column_stack([claimed, ground[:, 2]]))
-    known = np.isfinite(predicted).all(axis=1) & np.isfinite(observed).all(axis=1)
-    if not known.any():
+    finite = np.isfinite(predicted).all(axis=1) & np.isfinite(observed).all(axis=1)
+    if not finite.any():
         return AffineCorrection("shift", np.eye(2, 3)), float("nan")
-    predicted, observed = predicted[known], observed[known]
+    predicted, observed = predicted[finite], observed[finite]
     shift = (observed - predicted).mean(axis=0)
     correction = AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
     misfit_px = _largest(observed - correction.forward(predicted))
@@ -323,9 +323,9 @@ def parallax(
     middle, reach = np.mean(heights_m), max(np.ptp(heights_m), 100.0) / 2
     low, high = float(middle - reach), float(middle + reach)
     pixels, ground = _image_lattice(sibling, shape, (low, low), SIBLING_NODES)
-    there = original.to_ground(original.to_px(ground), high) - sibling.to_ground(pixels, high)
-    east = there[:, 0] * np.cos(np.radians(ground[:, 1]))
-    return float(np.nanmedian(np.hypot(east, there[:, 1]))) * 111_320.0 / (high - low)
+    parallax_deg = original.to_ground(original.to_px(ground), high) - sibling.to_ground(pixels, high)
+    east = parallax_deg[:, 0] * np.cos(np.radians(ground[:, 1]))
+    return float(np.nanmedian(np.hypot(east, parallax_deg[:, 1]))) * 111_320.0 / (high - low)
 
 
 def _image_lattice(
@@ -373,17 +373,17 @@ def read_rpc(uri: str) -> RpcSource | None:
     read. The `uri` may be a path.
     """
     with open_raster(uri) as dataset:
-        chosen = _of_dataset(uri, dataset)
+        used_rpc = _of_dataset(uri, dataset)
         shape = dataset.shape
     sidecars = {str(path): parse_rpc_text(path) for path in _sidecars(uri)}
-    if chosen is None and not sidecars:
+    if used_rpc is None and not sidecars:
         return None
     with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"), open_raster(uri) as dataset:
         inside = _of_dataset(uri, dataset)
-    found = {**sidecars, **({f"the tag of {uri}": inside} if inside else {})}
-    if chosen is None:  # GDAL does not look for sidecars of every format
-        chosen = next(iter(found.values()))
-    differences = {origin: _difference_px(chosen, rpc, shape) for origin, rpc in found.items()}
+    candidates = {**sidecars, **({f"the tag of {uri}": inside} if inside else {})}
+    if used_rpc is None:  # GDAL does not look for sidecars of every format
+        used_rpc = next(iter(candidates.values()))
+    differences = {origin: _difference_px(used_rpc, rpc, shape) for origin, rpc in candidates.items()}
     origin = next((origin for origin, px in differences.items() if px <= ALIKE_PX), f"the metadata of {uri}")
     warnings = tuple(
         f"the RPC in {other} differs from the one in {origin} by up to {px:.3g} px; the one in {origin} is "
@@ -391,7 +391,7 @@ def read_rpc(uri: str) -> RpcSource | None:
         for other, px in differences.items()
         if not px <= ALIKE_PX
     )
-    return RpcSource(chosen, origin, warnings)
+    return RpcSource(used_rpc, origin, warnings)
 
 
 def check_domain(
@@ -532,8 +532,8 @@ def _sidecars(uri: str) -> list[Path]:
         names = {file.name.upper(): file for file in path.parent.iterdir()} if path.is_file() else {}
     except OSError:
         return []
-    wanted = (f"{path.stem}.RPB", f"{path.stem}_RPC.TXT")
-    return [names[name.upper()] for name in wanted if name.upper() in names]
+    file_names = (f"{path.stem}.RPB", f"{path.stem}_RPC.TXT")
+    return [names[name.upper()] for name in file_names if name.upper() in names]
 
 
 def _rpc_txt(text: str) -> dict[str, Any]:
@@ -584,6 +584,6 @@ def _difference_px(first: RpcModel, second: RpcModel, shape: tuple[int, int]) ->
         return 0.0
     pixels = Grid(shape, Affine.identity(), None).lattice_px(5)
     lon_lat = first.to_ground(pixels, first.height_off)
-    there = second.to_px(np.column_stack([lon_lat, np.full(len(pixels), first.height_off)]))
-    largest = float(np.max(np.hypot(*(there - pixels).T)))
+    other_px = second.to_px(np.column_stack([lon_lat, np.full(len(pixels), first.height_off)]))
+    largest = float(np.max(np.hypot(*(other_px - pixels).T)))
     return largest if np.isfinite(largest) else float("inf")

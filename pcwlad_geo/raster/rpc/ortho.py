@@ -93,8 +93,8 @@ def place_by_rpc(
         heights = open_dem(dem, vertical, _scene_bounds(source, info))
         grid, span, warnings = _heights_around(info, rpc, heights)
         check_domain(source, info.uri, shape, span, trusted=trusted)
-    placed = replace(info, grid=grid, georeferenced=True)
-    return RpcPlacement(placed, source, span, (*source.warnings, *warnings))
+    on_ground = replace(info, grid=grid, georeferenced=True)
+    return RpcPlacement(on_ground, source, span, (*source.warnings, *warnings))
 
 
 def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
@@ -117,14 +117,14 @@ def plan_rpc_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     coarser, factor = ground, 1.0 / float(size)
     if np.isfinite(size) and size < FINER:
         coarser = ground.scaled((max(1, round(rows / factor)), max(1, round(cols / factor))))
-    own = View(reference, coarser, "none" if coarser is reference.grid else "cubic")
+    reference_view = View(reference, coarser, "none" if coarser is reference.grid else "cubic")
     scale = np.array([coarser.shape[1] / cols, coarser.shape[0] / rows])
     low, high = np.array(common.bounds).reshape(2, 2) * scale
     box = Window.around(low, high)
     around = box.padded(MARGIN_PX)
     view = View(target, coarser.part((around.col, around.row), around.shape), "cubic")
     offset = (float(-around.col), float(-around.row))
-    return ViewPair(own, view, offset, box.clipped(coarser.shape), ())
+    return ViewPair(reference_view, view, offset, box.clipped(coarser.shape), ())
 
 
 def ground_grid(grid: Grid) -> Grid:
@@ -159,7 +159,7 @@ def _no_overlap(reference: RasterInfo, target: RasterInfo, ground: Grid, outline
     """Return the message for rasters that do not overlap, with their positions."""
     rows, cols = ground.shape
     (left, top), (right, bottom) = ground.to_xy(np.array([[0.0, 0.0], [cols, rows]])).tolist()
-    placed = "by its RPC " if isinstance(target.grid, RpcGrid) else ""
+    by_rpc = "by its RPC " if isinstance(target.grid, RpcGrid) else ""
     where = "nowhere"
     if not outline.is_empty:
         corners = np.array(outline.bounds).reshape(2, 2)
@@ -167,7 +167,7 @@ def _no_overlap(reference: RasterInfo, target: RasterInfo, ground: Grid, outline
         where = f"at x {x0:.10g} to {x1:.10g}, y {y1:.10g} to {y0:.10g}"
     return (
         f"the rasters do not overlap: {reference.uri} covers x {left:.10g} to {right:.10g}, y "
-        f"{bottom:.10g} to {top:.10g}, and {placed}{target.uri} lies {where}: give two rasters of the same "
+        f"{bottom:.10g} to {top:.10g}, and {by_rpc}{target.uri} lies {where}: give two rasters of the same "
         "ground, and the RPC that belongs to the target as it is (not that of the image it was cropped from)"
     )
 
@@ -175,15 +175,15 @@ def _no_overlap(reference: RasterInfo, target: RasterInfo, ground: Grid, outline
 def _scene_bounds(source: RpcSource, info: RasterInfo) -> tuple[float, float, float, float]:
     """Return west, south, east, north in degrees of the image at all heights of its RPC, with a margin."""
     rpc, pixels = source.rpc, info.grid.lattice_px(PLACED_LATTICE)
-    found = np.concatenate(
+    lon_lat = np.concatenate(
         [rpc.to_ground(pixels, rpc.height_off + side * rpc.height_scale) for side in (-1.0, 0.0, 1.0)]
     )
-    found = found[np.isfinite(found).all(axis=1)]
-    if len(found) == 0:
+    lon_lat = lon_lat[np.isfinite(lon_lat).all(axis=1)]
+    if len(lon_lat) == 0:
         raise InputError(
             f"the RPC in {source.origin} places no pixel of {info.uri} on the ground: get it again"
         )
-    low, high = found.min(axis=0), found.max(axis=0)
+    low, high = lon_lat.min(axis=0), lon_lat.max(axis=0)
     margin = 0.05 * (high - low)
     west, south, east, north = np.concatenate([low - margin, high + margin]).tolist()
     return west, south, east, north
@@ -198,9 +198,9 @@ def _heights_around(
     """
     pixels = info.grid.lattice_px(PLACED_LATTICE)
     # nearest: ground far from the height offset would be sought beside the DEM
-    near = dem.nearest(rpc.to_ground(pixels, rpc.height_off))
-    _check_heights(info, dem, near)
-    level_m = float(np.nanmedian(near)) if np.isfinite(near).any() else rpc.height_off
+    first_heights = dem.nearest(rpc.to_ground(pixels, rpc.height_off))
+    _check_heights(info, dem, first_heights)
+    level_m = float(np.nanmedian(first_heights)) if np.isfinite(first_heights).any() else rpc.height_off
     grid = RpcGrid.of_file(info.grid.shape, rpc, dem, level_m=level_m)
     lon_lat, _ = grid.line_of_sight(pixels)
     dem_px = dem.to_px(lon_lat)
@@ -238,10 +238,10 @@ def _heights_around(
 
 
 def _check_heights(info: RasterInfo, dem: Dem, heights: Float64) -> None:
-    known = heights[np.isfinite(heights)]
-    if len(known) and not -600.0 <= known.min() <= known.max() <= 9500.0:
+    finite = heights[np.isfinite(heights)]
+    if len(finite) and not -600.0 <= finite.min() <= finite.max() <= 9500.0:
         raise InputError(
-            f"the DEM {dem.uri} holds heights from {known.min():.0f} to {known.max():.0f} m below "
+            f"the DEM {dem.uri} holds heights from {finite.min():.0f} to {finite.max():.0f} m below "
             f"{info.uri}: check its unit and its nodata value"
         )
 
@@ -274,8 +274,8 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
     are known. Raises `InputError` if no part of the target can be placed in the reference's CRS. The `target`
     has the corrected RPC.
     """
-    placed = map_px(target.lattice_px(LATTICE), target, reference)
-    scales = jacobian(placed[np.isfinite(placed).all(axis=1)], reference, at_mean_height(target))
+    lattice_px = map_px(target.lattice_px(LATTICE), target, reference)
+    scales = jacobian(lattice_px[np.isfinite(lattice_px).all(axis=1)], reference, at_mean_height(target))
     scales = scales[np.isfinite(scales).all(axis=(1, 2))]
     outline = footprint_px(target, reference)
     if len(scales) == 0 or outline.is_empty:
@@ -307,10 +307,10 @@ def requested_ortho_grids(
         return [fixed] * len(siblings)
     lattice = output_lattice(reference, request)
     base = reference if lattice.crs == reference.crs else lattice
-    owns = [ortho_grid(base, each) for each in (target, *siblings)]
-    outlines = [map_px(own.boundary_px(), own, lattice) for own in owns]
+    grids = [ortho_grid(base, grid) for grid in (target, *siblings)]
+    outlines = [map_px(grid.boundary_px(), grid, lattice) for grid in grids]
     boxes = [(outline.min(axis=0), outline.max(axis=0)) for outline in outlines]
-    return lay_out(lattice, request, boxes, [np.hypot(*linear_part(own.transform)) for own in owns])
+    return lay_out(lattice, request, boxes, [np.hypot(*linear_part(grid.transform)) for grid in grids])
 
 
 def orthorectify(
@@ -405,14 +405,14 @@ def _ground_below(target: RpcGrid, part: Grid) -> Iterator[dict[str, object] | N
     if isinstance(target.heights, ConstantHeight):
         place, heights = LEVEL, np.full((8, 8), target.heights.height_m)
     else:
-        wanted = _dem_window(target.heights, part)
-        window = wanted.clipped(target.heights.grid.shape)
+        needed = _dem_window(target.heights, part)
+        window = needed.clipped(target.heights.grid.shape)
         if window.empty:
             yield None
             return
         place = target.heights.grid.part((window.col, window.row), window.shape)
         heights = target.heights.ellipsoidal(window)
-        if window != wanted or np.isnan(heights).any():
+        if window != needed or np.isnan(heights).any():
             more = {"SAMPLE_GRID": "YES", "SAMPLE_STEPS": "ALL"}
     rows, cols = heights.shape
     profile = {"driver": "GTiff", "dtype": "float32", "count": 1, "nodata": np.nan, "crs": place.crs}
