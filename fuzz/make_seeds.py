@@ -34,7 +34,7 @@ from fuzz.answers import ANSWER, seed_answer
 from fuzz.kept import SEEDS
 from fuzz.mutators import archives
 from fuzz.recipes import REQUESTS
-from pcwlad_geo.raster.rpc.model import parse_rpc_text, write_rpc_text
+from pcwlad_geo.raster.rpc.files import parse_rpc_text, write_rpc_text
 from tests.product_files import LANDSAT, landsat_metadata, packed, safe_metadata, save
 from tests.rpc_scene import dem_values, make_rpc, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write

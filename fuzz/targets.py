@@ -19,7 +19,7 @@ from pcwlad_geo.multi.batches import read_pairs
 from pcwlad_geo.multi.qa_result import read_requirement
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
-from pcwlad_geo.raster.rpc.model import parse_rpc_text
+from pcwlad_geo.raster.rpc.files import parse_rpc_text
 from pcwlad_geo.report.finished import read_registration
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.tiepoints.readers import read_point_file

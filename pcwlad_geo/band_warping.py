@@ -22,7 +22,7 @@ from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
-from pcwlad_geo.raster.rpc.model import to_gdal, write_rpc_text
+from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import requested_ortho_grids
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust.permissions import Trust, trusting

@@ -13,7 +13,8 @@ from benchmarks.studies.rpc_pair import rpc_pair
 from benchmarks.tables import Cell, Check, Table, at_most
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX, to_gdal
+from pcwlad_geo.raster.rpc.bias import BIAS_TOLERANCE_PX
+from pcwlad_geo.raster.rpc.files import to_gdal
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration import RpcRegistration
 

@@ -18,7 +18,9 @@ from benchmarks.runs import Array
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX, RpcModel, read_rpc, to_gdal
+from pcwlad_geo.raster.rpc.bias import BIAS_TOLERANCE_PX
+from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
+from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import orthorectify
 from pcwlad_geo.registration import Registration
 

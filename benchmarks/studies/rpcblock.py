@@ -17,8 +17,8 @@ from benchmarks.studies.rpc_pair import WINDOW_PX, phase_shifts, summary
 from benchmarks.tables import Cell, Check, Table, at_most
 from pcwlad_geo.multi.stack_result import Stack
 from pcwlad_geo.raster.grid import jacobian
+from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
 from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.raster.rpc.model import read_rpc, to_gdal
 from pcwlad_geo.raster.rpc.ortho import orthorectify
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.vrt import write_rpc_vrt

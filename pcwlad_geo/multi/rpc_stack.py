@@ -50,8 +50,8 @@ from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest
 from pcwlad_geo.raster.rpc.dem import Dem, relief
+from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc, to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, image_px
-from pcwlad_geo.raster.rpc.model import RpcSource, read_rpc, to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import PLACED_LATTICE, RpcPlacement, ground_grid, ortho_grid, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import write_rpc_vrt

@@ -28,8 +28,9 @@ from pcwlad_geo.raster.matching_grid import grid_on_plane_of
 from pcwlad_geo.raster.output_format import OutputFormat, files_of, write_cog
 from pcwlad_geo.raster.output_grid import check_covered, corrected_outline, output_grids
 from pcwlad_geo.raster.rpc import ortho as rpc_warping
+from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
-from pcwlad_geo.raster.rpc.model import RpcModel, to_gdal, write_rpc_text
+from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import ground_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.warping import scratch_folder, sink

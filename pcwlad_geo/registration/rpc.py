@@ -15,19 +15,18 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import utm_zone_of
 from pcwlad_geo.raster.grid import Grid, map_px, middle_pixel_size_m
-from pcwlad_geo.raster.rpc.dem import Dem, Vertical
-from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
-from pcwlad_geo.raster.rpc.model import (
+from pcwlad_geo.raster.rpc.bias import (
     BIAS_TOLERANCE_PX,
-    RpcModel,
-    RpcSource,
     apply_bias,
     bias_error_px,
     carried,
     covered_range,
     parallax,
-    read_rpc,
 )
+from pcwlad_geo.raster.rpc.dem import Dem, Vertical
+from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
+from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
+from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import RpcPlacement, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.tiepoints.table import TiePointTable

@@ -32,7 +32,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.output_grid import GridRequest, output_grid
-from pcwlad_geo.raster.rpc.model import parse_rpc_text
+from pcwlad_geo.raster.rpc.files import parse_rpc_text
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.text import read_bytes, read_json

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.raster.rpc.model import BIAS_TOLERANCE_PX, apply_bias, bias_error_px, covered_range
+from pcwlad_geo.raster.rpc.bias import BIAS_TOLERANCE_PX, apply_bias, bias_error_px, covered_range
 from tests.rpc_scene import SHAPE, make_rpc, of_a_product
 
 HEIGHTS_M = (0.0, 800.0)
@@ -51,7 +51,7 @@ def test_the_error_is_that_of_the_worst_place() -> None:
 
 
 def test_on_the_real_rpc(shared_data: Path) -> None:
-    from pcwlad_geo.raster.rpc.model import read_rpc
+    from pcwlad_geo.raster.rpc.files import read_rpc
 
     source = read_rpc(str(shared_data / "rpc/qb2_basic1b.tif"))
     assert source is not None
@@ -80,7 +80,7 @@ def test_a_part_of_a_product_is_folded_over_the_part() -> None:
 
 
 def test_on_real_parts_of_products(shared_data: Path) -> None:
-    from pcwlad_geo.raster.rpc.model import read_rpc
+    from pcwlad_geo.raster.rpc.files import read_rpc
 
     affine = correction([[1.0003, 1e-3, 3], [-1e-3, 0.9998, -4]])
     for name in ("img_01", "img_02"):

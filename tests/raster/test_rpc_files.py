@@ -5,14 +5,9 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.rpc.model import (
-    RpcModel,
-    RpcSource,
-    check_domain,
-    parse_rpc_text,
-    read_rpc,
-    write_rpc_text,
-)
+from pcwlad_geo.raster.rpc.domain import check_domain
+from pcwlad_geo.raster.rpc.files import RpcSource, parse_rpc_text, read_rpc, write_rpc_text
+from pcwlad_geo.raster.rpc.model import RpcModel
 from tests.rpc_scene import SHAPE, make_rpc, of_a_product, renormalised, write_image
 
 PIXELS = np.ones(SHAPE, np.uint8)

@@ -9,8 +9,9 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Undulation
+from pcwlad_geo.raster.rpc.files import read_rpc
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.model import RpcModel, read_rpc
+from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.rpc.ortho import RpcPlacement, ortho_grid, place_by_rpc
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.rpc import place_target

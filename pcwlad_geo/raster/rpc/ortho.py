@@ -31,8 +31,10 @@ from pcwlad_geo.raster.opening import open_written_raster
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest, lay_out, output_lattice, snapped_size
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem, Vertical, in_words, open_dem
+from pcwlad_geo.raster.rpc.domain import check_domain
+from pcwlad_geo.raster.rpc.files import RpcSource, to_gdal
 from pcwlad_geo.raster.rpc.grid import LATTICE, RpcGrid, at_mean_height, footprint_px
-from pcwlad_geo.raster.rpc.model import RpcModel, RpcSource, check_domain, to_gdal
+from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import View
 from pcwlad_geo.raster.vrt import has_alpha
