@@ -48,11 +48,13 @@ from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px, pixel_sizes_m
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.output_grid import SLIVER_PX, GridRequest
+from pcwlad_geo.raster.output_grid import OUTPUT_GRIDS, GridRequest
 from pcwlad_geo.raster.rpc.dem import Dem, relief
 from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc, to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, image_px
-from pcwlad_geo.raster.rpc.ortho import PLACED_LATTICE, RpcPlacement, ground_grid, ortho_grid, place_by_rpc
+from pcwlad_geo.raster.rpc.ortho import ortho_grid
+from pcwlad_geo.raster.rpc.placement import PLACEMENT, RpcPlacement, place_by_rpc
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration import requested_grid
@@ -152,7 +154,7 @@ def _placed(given: StackInput, info: RasterInfo, base: str | None, settings: Set
     placed = place_by_rpc(info, source, str(settings.dem), settings.dem_vertical, trusted=settings.trust_rpc)
     grid = placed.info.grid
     if isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem):
-        lon_lat, _ = grid.line_of_sight(grid.lattice_px(PLACED_LATTICE))
+        lon_lat, _ = grid.line_of_sight(grid.lattice_px(PLACEMENT.lattice))
         grid = replace(grid, heights=grid.heights.held(lon_lat))
     return replace(placed, info=replace(placed.info, grid=grid))
 
@@ -187,7 +189,8 @@ def common_grid(base: Grid, images: Sequence[RpcGrid]) -> Grid:
     own = [ortho_grid(base, image) for image in images]
     finest = min(own, key=lambda grid: abs(float(np.linalg.det(linear_part(grid.transform)))))
     outlines = np.concatenate([map_px(grid.boundary_px(), grid, finest) for grid in own])
-    low, high = np.floor(outlines.min(axis=0) + SLIVER_PX), np.ceil(outlines.max(axis=0) - SLIVER_PX)
+    sliver_px = OUTPUT_GRIDS.sliver_px
+    low, high = np.floor(outlines.min(axis=0) + sliver_px), np.ceil(outlines.max(axis=0) - sliver_px)
     pixels = sum(grid.shape[0] * grid.shape[1] for grid in images)
     check_grid("the common grid of all images", (high - low).tolist(), pixels)
     cols, rows = (high - low).astype(int).tolist()

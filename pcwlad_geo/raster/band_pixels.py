@@ -32,8 +32,8 @@ class SampleParameters:
     """Side of such a window."""
 
 
-PARAMETERS: Final = SampleParameters()
-"""Those that are used."""
+SAMPLES: Final = SampleParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +71,7 @@ class BandPixels:
     def overview_shape(self) -> tuple[int, int]:
         """Rows and columns of the overview."""
         rows, cols = self.info.grid.shape
-        factor = max(1.0, max(rows, cols) / PARAMETERS.overview_px)
+        factor = max(1.0, max(rows, cols) / SAMPLES.overview_px)
         return round(rows / factor) or 1, round(cols / factor) or 1
 
     @cached_property
@@ -88,9 +88,9 @@ class BandPixels:
         """The overview; of a large file without overviews windows that are spread over it."""
         shape, band = self.info.grid.shape, self.info.band
         with open_raster(self.info.uri) as dataset:
-            if shape[0] * shape[1] <= PARAMETERS.whole_px or dataset.overviews(band):
+            if shape[0] * shape[1] <= SAMPLES.whole_px or dataset.overviews(band):
                 return self.overview
-            windows = Window.spread(shape, PARAMETERS.window_px, PARAMETERS.windows)
+            windows = Window.spread(shape, SAMPLES.window_px, SAMPLES.windows)
             values, valid = [], []
             for window in windows:
                 place = FileWindow(window.col, window.row, window.cols, window.rows)

@@ -19,25 +19,37 @@ FULL_FRAME_MM: Final = math.hypot(36.0, 24.0)
 """Diagonal of the frame that 35-mm equivalents of focal lengths are of."""
 MM_PER_UNIT: Final = {"2": 25.4, "3": 10.0, "4": 1.0, "5": 0.001}
 """Of EXIF's FocalPlaneResolutionUnit: inch, cm; mm and µm of TIFF/EP."""
-MAX_FOCAL_RATIO: Final = 1.25
-"""Largest ratio of two focal lengths of one camera that do not contradict each other."""
-FOCAL_PX: Final = (10.0, 1e6)
-"""Smallest and largest focal length, px, that is believed."""
-RATIO: Final = (1 / 64, 64.0)
-"""Smallest and largest ratio of the pixels of two frames that is believed."""
-STATED_FROM: Final = 1.05
-"""Ratio of the pixels from which it is told."""
-GUESSED_FROM: Final = 2.0
-"""Ratio of the pixels of two frames from which a guess of their scale reaches much farther than none."""
 _RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns# "
 """Elements of lists, which name nothing."""
 _DJI: Final = "http://www.dji.com/drone-dji/1.0/ "
 NADIR_DEG: Final = -90.0
 """GimbalPitchDegree of a camera that looks straight down."""
-MAX_TILT_DEG: Final = 20.0
-"""Largest stated tilt from there with which a camera counts as above the ground that it shows."""
 _UNSIGNED: Final = re.compile(r"\d+(?:\.\d+)?")
 _NUMBER: Final = re.compile(r"[(\s]*([+-]?\d+(?:\.\d+)?)\s*\)?\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraParameters:
+    """Which statements of a camera are believed."""
+
+    max_focal_ratio: float = 1.25
+    """Largest ratio of two focal lengths of one camera that do not contradict each other."""
+    focal_px: tuple[float, float] = (10.0, 1e6)
+    """Smallest and largest focal length."""
+    height_m: tuple[float, float] = (0.5, 2e4)
+    """Smallest and largest height above the place of start."""
+    ratio: tuple[float, float] = (1 / 64, 64.0)
+    """Smallest and largest ratio of the pixels of two frames."""
+    stated_from: float = 1.05
+    """Ratio of the pixels from which a note states it."""
+    guessed_from: float = 2.0
+    """Ratio of the pixels of two frames from which a guess of their scale reaches much farther than none."""
+    max_tilt_deg: float = 20.0
+    """Largest tilt with which a camera counts as above the ground that it shows."""
+
+
+CAMERAS: Final = CameraParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +77,12 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
     exif = exif_of(dataset)
     drone = {name.partition(_DJI)[2]: values[0][:40] for name, values in xmp_of(dataset).items()}
     match, pitch = (_NUMBER.match(drone.get(name, "")) for name in ("RelativeAltitude", "GimbalPitchDegree"))
-    relative = _within(float(match[1]), (0.5, 2e4)) if match else None
-    looks_aside = pitch is not None and abs(float(pitch[1]) - NADIR_DEG) > MAX_TILT_DEG
+    relative = _within(float(match[1]), CAMERAS.height_m) if match else None
+    looks_aside = pitch is not None and abs(float(pitch[1]) - NADIR_DEG) > CAMERAS.max_tilt_deg
     if not exif and relative is None:
         return None
     focal = [*filter(None, (_by_focal_plane(exif, dataset.shape), _by_35_mm(exif, dataset.shape)))]
-    contradicts = len(focal) == 2 and max(focal) > MAX_FOCAL_RATIO * min(focal)
+    contradicts = len(focal) == 2 and max(focal) > CAMERAS.max_focal_ratio * min(focal)
     plausible = focal[0] if focal and not contradicts else None
     position = None if looks_aside else _position(exif)
     camera = Camera(plausible, relative, number_of(exif, "GPSAltitude"), position, contradicts)
@@ -110,9 +122,9 @@ def expected_scale(reference: Camera | None, target: Camera | None) -> tuple[flo
     heights = [camera.height_m if camera else None for camera in (reference, target)]
     higher = 1.0 if heights[0] is None or heights[1] is None else heights[0] / heights[1]
     scale = lengths[1] / lengths[0] * higher
-    if not RATIO[0] <= scale <= RATIO[1]:
+    if not CAMERAS.ratio[0] <= scale <= CAMERAS.ratio[1]:
         return None, f"by the cameras' data the pixels differ by a factor of {scale:.3g}: they are ignored"
-    if 1 / STATED_FROM < scale < STATED_FROM:
+    if 1 / CAMERAS.stated_from < scale < CAMERAS.stated_from:
         return scale, None
     size, word = (1 / scale, "large") if scale <= 1 else (scale, "small")
     return scale, f"by the cameras' data the target's pixels are {size:.1f} times as {word}"
@@ -130,8 +142,8 @@ def guessed_scale(
         guess = target.focal_px / reference.focal_px
     else:
         guess = math.hypot(*shapes[1]) / math.hypot(*shapes[0])
-    is_far = max(guess, 1 / guess) > GUESSED_FROM
-    return guess if is_far and RATIO[0] <= guess <= RATIO[1] else None
+    is_far = max(guess, 1 / guess) > CAMERAS.guessed_from
+    return guess if is_far and CAMERAS.ratio[0] <= guess <= CAMERAS.ratio[1] else None
 
 
 def _lacking(reference: Camera | None, target: Camera | None) -> str | None:
@@ -174,14 +186,14 @@ def _by_focal_plane(exif: Mapping[str, str], shape: tuple[int, int]) -> float | 
         return None
     cols = number_of(exif, "PixelXDimension")
     reduction = shape[1] / cols if cols else 1.0
-    return _within(focal_mm * per_unit / unit_mm * reduction, FOCAL_PX)
+    return _within(focal_mm * per_unit / unit_mm * reduction, CAMERAS.focal_px)
 
 
 def _by_35_mm(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:
     equivalent_mm = number_of(exif, "FocalLengthIn35mmFilm")
     if equivalent_mm is None:
         return None
-    return _within(equivalent_mm / FULL_FRAME_MM * math.hypot(*shape), FOCAL_PX)
+    return _within(equivalent_mm / FULL_FRAME_MM * math.hypot(*shape), CAMERAS.focal_px)
 
 
 def number_of(exif: Mapping[str, str], name: str) -> float | None:

@@ -39,8 +39,8 @@ class CompressionParameters:
 BLOCK_PX: Final = 8
 """Side of a block of JPEG (ITU-T T.81, Annex A): phase congruency sees the grid of blocks where a scene is
 flat, and two images of different places would agree on it."""
-PARAMETERS: Final = CompressionParameters()
-"""Those that are used."""
+COMPRESSION: Final = CompressionParameters()
+"""Those in use."""
 
 
 def with_compression_blocks(info: RasterInfo) -> RasterInfo:
@@ -69,9 +69,9 @@ def find_blocks(
     `read` returns the (rows, cols) values and validity of a window. The result is the row and the column,
     modulo 8, at which blocks begin.
     """
-    if min(*shape, PARAMETERS.sample_px) < 4 * BLOCK_PX:
+    if min(*shape, COMPRESSION.sample_px) < 4 * BLOCK_PX:
         return None
-    windows = Window.spread(shape, PARAMETERS.sample_px, PARAMETERS.samples_across)
+    windows = Window.spread(shape, COMPRESSION.sample_px, COMPRESSION.samples_across)
     samples = [(read(window), window) for window in windows]
     by_row = _mean_steps((values, valid, window.row) for (values, valid), window in samples)
     by_col = _mean_steps((values.T, valid.T, window.col) for (values, valid), window in samples)
@@ -88,7 +88,7 @@ def _mean_steps(samples: Iterable[tuple[NDArray[Any], Bool, int]]) -> Float64:
         good = valid[:-3] & valid[1:-2] & valid[2:-1] & valid[3:]  # the four pixels of each step
         if not good.any():
             continue
-        size = np.minimum(size, np.percentile(size[good], PARAMETERS.common_percent)) * good
+        size = np.minimum(size, np.percentile(size[good], COMPRESSION.common_percent)) * good
         row = (first + 2 + np.arange(len(size))) % BLOCK_PX
         total += np.bincount(row, size.sum(axis=1), BLOCK_PX)
         count += np.bincount(row, good.sum(axis=1), BLOCK_PX)
@@ -99,5 +99,5 @@ def _first_px(steps: Float64) -> int | None:
     """Return where blocks begin, from the (8,) mean steps; None if they do not show."""
     first = int(np.argmax(steps))
     inside = np.delete(steps, first)
-    least = max(PARAMETERS.min_ratio * inside.mean(), PARAMETERS.min_lead * inside.max())
+    least = max(COMPRESSION.min_ratio * inside.mean(), COMPRESSION.min_lead * inside.max())
     return first if steps[first] >= least and steps[first] > 0 else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
@@ -19,6 +20,22 @@ from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.types import Float64
 
+
+@dataclass(frozen=True, slots=True)
+class GroundParameters:
+    """How lengths on the map and on the ground are converted into one another."""
+
+    probe_m: float = 50.0
+    """Length of the steps along the map's axes with which the ground length of a map unit is measured."""
+    rounds: int = 4
+    """Most iterations of the conversion from metres to map units; each reduces the error to the share by
+    which the map's scale changes along the displacement."""
+    tolerance_m: float = 1e-6
+    """Error at which the iteration ends."""
+
+
+GROUND: Final = GroundParameters()
+"""Those in use."""
 WGS84: Final = CRS.from_epsg(4326)
 """CRS of longitudes and latitudes, in this order in all arrays."""
 
@@ -148,13 +165,6 @@ def _transformer(from_crs: CRS, to_crs: CRS) -> pyproj.Transformer:
         ) from error
 
 
-_PROBE_M = 50.0
-"""Length of the steps along the map's axes with which the ground length of a map unit is measured."""
-_ROUNDS = 4
-"""Most iterations of the conversion from metres to map units; each reduces the error to the share by which
-the map's scale changes along the displacement."""
-
-
 def displacement_m(xy_from: Float64, xy_to: Float64, crs: CRS | None) -> Float64:
     """Return displacements between points on the ground, metres along the axes of a CRS.
 
@@ -185,11 +195,11 @@ def moved_xy(xy: Float64, along_m: Float64, crs: CRS) -> Float64:
     if ground is None:
         return xy + along_m / _unit(to_pyproj(crs))
     step = np.zeros_like(xy)
-    for _ in range(_ROUNDS):
+    for _ in range(GROUND.rounds):
         stretch = ground.stretch(xy + step / 2)
         missing_m = along_m - ground.along_m(xy, step, stretch)
         step = step + solve(stretch, missing_m[..., None])[..., 0]
-        if not np.nanmax(np.abs(missing_m), initial=0.0) > 1e-6:
+        if not np.nanmax(np.abs(missing_m), initial=0.0) > GROUND.tolerance_m:
             break
     return xy + step
 
@@ -206,7 +216,8 @@ class _Ground:
         )
         self._degrees = math.degrees(_unit(geographic))
         # a degree of a meridian is 111 km, within 1 %
-        self._probe = _PROBE_M / (111e3 * self._degrees if described.is_geographic else _unit(described))
+        metres = 111e3 * self._degrees if described.is_geographic else _unit(described)
+        self._probe = GROUND.probe_m / metres
 
     def length_m(self, xy_from: Float64, xy_to: Float64) -> Float64:
         """Return the lengths (n,) of geodesics between (n, 2) map coordinates."""

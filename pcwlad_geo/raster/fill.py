@@ -39,8 +39,8 @@ class FillParameters:
     """Largest share of such a fill that only one of the two has, farther than a pixel from its outline."""
 
 
-PARAMETERS: Final = FillParameters()
-"""Those that are used."""
+FILL: Final = FillParameters()
+"""Those in use."""
 
 
 def fill_note(info: RasterInfo, fill: Fill, why: str) -> str:
@@ -72,12 +72,12 @@ def _lowest_fill(values: Float64, total: int) -> Fill | None:
     value = float(values.min())
     data = values[values != value]
     share = (len(values) - len(data)) / total
-    if share < PARAMETERS.min_share or len(np.unique(data)) < PARAMETERS.min_values:
+    if share < FILL.min_share or len(np.unique(data)) < FILL.min_values:
         return None
     low, high = np.percentile(data, (1, 99)).tolist()
     end = max(value / 2 + low / 2, low - (high - low))
     between = np.count_nonzero(data < end) / (share * total)
-    if low - value < PARAMETERS.min_gap * (high - low) or between > PARAMETERS.max_between:
+    if low - value < FILL.min_gap * (high - low) or between > FILL.max_between:
         return None
     return Fill(value, -np.inf, end, share)
 
@@ -131,10 +131,10 @@ def _frequent_ends(info: RasterInfo, pixels: BandPixels) -> list[float]:
     if info.mask_uri is not None or info.brightness is not None:
         return []
     values = pixels.sample.values[pixels.sample.unmarked(info)]
-    if len(np.unique(values)) <= PARAMETERS.min_values:
+    if len(np.unique(values)) <= FILL.min_values:
         return []
     ends = [values.min(), values.max()]
-    return [float(end) for end in ends if np.mean(values == end) >= PARAMETERS.min_share]
+    return [float(end) for end in ends if np.mean(values == end) >= FILL.min_share]
 
 
 def _places_in(
@@ -154,9 +154,9 @@ def _places_in(
 
 def _shared_share(one: Bool, other: Bool, common: Bool) -> float:
     """Return the share of the `common` pixels that an area has of two equal ones; 0 if they are not equal."""
-    if one.sum() < PARAMETERS.min_share * common.sum():
+    if one.sum() < FILL.min_share * common.sum():
         return 0.0
-    neighbours, square = np.ones((3, 3), np.uint8), np.ones((PARAMETERS.core_px,) * 2, np.uint8)
+    neighbours, square = np.ones((3, 3), np.uint8), np.ones((FILL.core_px,) * 2, np.uint8)
     areas = [area.astype(np.uint8) for area in (one, other)]
     solid = [cv2.morphologyEx(area, cv2.MORPH_OPEN, square) for area in areas]
     strays = [
@@ -164,6 +164,6 @@ def _shared_share(one: Bool, other: Bool, common: Bool) -> float:
         for area, core in zip(areas, solid, strict=True)
     ]
     unshared = (solid[0] > cv2.dilate(areas[1], neighbours)) | (solid[1] > cv2.dilate(areas[0], neighbours))
-    if unshared.sum() > PARAMETERS.max_apart * one.sum() or max(strays) > PARAMETERS.max_among_data:
+    if unshared.sum() > FILL.max_apart * one.sum() or max(strays) > FILL.max_among_data:
         return 0.0
     return float(one.sum() / common.sum())

@@ -19,8 +19,33 @@ from pcwlad_geo.raster.source import RasterInfo, check_part, is_huge
 from pcwlad_geo.raster.view import View, ViewResampling, file_px_per_px
 from pcwlad_geo.types import Float64
 
-MIN_SHARED: Final = 0.1
-"""Share of the smaller extent within the other from which coordinates are taken to be in the other's CRS."""
+
+@dataclass(frozen=True, slots=True)
+class MatchingGridParameters:
+    """How the grid that two bands are matched on is chosen."""
+
+    min_shared: float = 0.1
+    """Share of the smaller extent within the other from which coordinates count as in the other's CRS."""
+    margin_px: int = 64
+    """Margin of a resampled view around the overlap."""
+    extent_margin_px: int = 256
+    """Margin of the target around an extent, for its displacement, matching-grid px."""
+    same_size_px: float = 0.01
+    """What differing pixel sizes may add up to over the overlap."""
+    finer: float = 0.99
+    """The reference counts as finer below this ratio of the pixel sizes."""
+    alike: float = 2.0
+    """Largest ratio of two pixel sizes, and of how much their lengths on the ground differ, that is about
+    one."""
+    average_from: float = 2.0 - 1e-6
+    """File px per matching-grid px from which area averages are used. Below it the edges of the cells, which
+    fall anywhere in a pixel, would displace the image by more than 0.02 px, varying from pixel to pixel."""
+
+
+MATCHING_GRIDS: Final = MatchingGridParameters()
+"""Those in use."""
+ONLY_PIXELS: Final = "only their pixels tell how the two lie"
+"""What is said of a pair without georeferencing, unless tie points are given."""
 
 
 def share_plane(reference: RasterInfo, target: RasterInfo) -> tuple[RasterInfo, RasterInfo, tuple[str, ...]]:
@@ -62,31 +87,13 @@ def grid_on_plane_of(info: RasterInfo, grid: Grid) -> Grid:
     extents = [shapely.Polygon(candidate.to_xy(candidate.boundary_px())) for candidate in (assumed, grid)]
     least = min(extent.area for extent in extents)
     shared = extents[0].intersection(extents[1]).area
-    return assumed if shared >= MIN_SHARED * least > 0 else info.grid
+    return assumed if shared >= MATCHING_GRIDS.min_shared * least > 0 else info.grid
 
 
 def _placed(info: RasterInfo, grid: Grid | None) -> RasterInfo:
     if grid is None and info.plane_transform is not None:
         grid = Grid(info.grid.shape, info.plane_transform, None)
     return replace(info, grid=grid or info.grid, georeferenced=True)
-
-
-MARGIN_PX = 64
-"""Margin of a resampled view around the overlap."""
-EXTENT_MARGIN_PX = 256
-"""Margin of the target around an extent, for its displacement, matching-grid px."""
-_SAME_SIZE_PX = 0.01  # what differing pixel sizes may add up to over the overlap
-FINER: Final = 0.99
-"""The reference counts as finer below this ratio of the pixel sizes."""
-ALIKE: Final = 2.0
-"""Largest ratio of two pixel sizes, and of how much their lengths on the ground differ, that is about one."""
-# File px per matching-grid px from which area averages are used. Below it the edges of the cells, which fall
-# anywhere in a pixel, would displace the image by more than 0.02 px, varying from pixel to pixel.
-_AVERAGE_FROM = 2.0 - 1e-6
-
-
-ONLY_PIXELS: Final = "only their pixels tell how the two lie"
-"""What is said of a pair without georeferencing, unless tie points are given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +181,7 @@ def limited_to_overlap(pair: ViewPair) -> ViewPair:
 def _limited_to(pair: ViewPair, window: Window) -> ViewPair | None:
     """Return a pair whose reference view is a window of its own; None if that shows nothing of both."""
     col, row = np.rint(pair.offset_px).astype(int).tolist()
-    around = window.moved(row, col).padded(EXTENT_MARGIN_PX).clipped(pair.target.grid.shape)
+    around = window.moved(row, col).padded(MATCHING_GRIDS.extent_margin_px).clipped(pair.target.grid.shape)
     if window.empty or around.empty:
         return None
     offset = (pair.offset_px[0] + window.col - around.col, pair.offset_px[1] + window.row - around.row)
@@ -222,7 +229,7 @@ def _plan_own_pixels(
         return None
     signs = np.sign(scale)
     left, top, right, bottom = common.bounds
-    if np.max(np.abs(scale - signs) * [right - left, bottom - top]) > _SAME_SIZE_PX:
+    if np.max(np.abs(scale - signs) * [right - left, bottom - top]) > MATCHING_GRIDS.same_size_px:
         return None
     view = _own(target) if (signs > 0).all() else View(target, _flipped(target.grid, signs), "nearest")
     centre = _centre(common)
@@ -241,12 +248,14 @@ def _plan_resampled(
     if _on_target_grid(reference.grid, target.grid, _typical_place(common, reference.grid, target.grid)):
         box = window_of(common, reference.grid, target.grid)
         view = _resampled(reference, target.grid, box)
-        overlap = box.clipped(target.grid.shape).moved(MARGIN_PX - box.row, MARGIN_PX - box.col)
-        offset = (float(box.col - MARGIN_PX), float(box.row - MARGIN_PX))
+        overlap = box.clipped(target.grid.shape).moved(
+            MATCHING_GRIDS.margin_px - box.row, MATCHING_GRIDS.margin_px - box.col
+        )
+        offset = (float(box.col - MATCHING_GRIDS.margin_px), float(box.row - MATCHING_GRIDS.margin_px))
         return ViewPair(view, _own(target), offset, overlap, warnings)
     box = window_of(common, reference.grid, reference.grid)
     view = _resampled(target, reference.grid, box)
-    offset = (float(MARGIN_PX - box.col), float(MARGIN_PX - box.row))
+    offset = (float(MATCHING_GRIDS.margin_px - box.col), float(MATCHING_GRIDS.margin_px - box.row))
     return ViewPair(_own(reference), view, offset, box.clipped(reference.grid.shape), warnings)
 
 
@@ -257,14 +266,14 @@ def _on_target_grid(reference: Grid, target: Grid, at_px: Float64) -> bool:
     pixels have more alike sides on the ground where the other's map stretches or shears them.
     """
     step = float(np.sqrt(abs(np.linalg.det(jacobian(at_px, reference, target)[0]))))
-    if reference.crs != target.crs and 1 / ALIKE < step < ALIKE:
+    if reference.crs != target.crs and 1 / MATCHING_GRIDS.alike < step < MATCHING_GRIDS.alike:
         reference_ratio, target_ratio = (
             _longest_by_shortest(grid, px)
             for grid, px in ((reference, at_px), (target, map_px(at_px, reference, target)))
         )
-        if max(reference_ratio, target_ratio) > ALIKE * min(reference_ratio, target_ratio):
+        if max(reference_ratio, target_ratio) > MATCHING_GRIDS.alike * min(reference_ratio, target_ratio):
             return reference_ratio > target_ratio
-    return step < FINER
+    return step < MATCHING_GRIDS.finer
 
 
 def _longest_by_shortest(grid: Grid, at_px: Float64) -> float:
@@ -279,11 +288,16 @@ def _longest_by_shortest(grid: Grid, at_px: Float64) -> float:
 
 def _resampled(finer: RasterInfo, coarser: Grid, box: Window) -> View:
     """Return the finer band on the coarser band's grid, limited to the overlap and a margin."""
-    around = box.padded(MARGIN_PX)
+    around = box.padded(MATCHING_GRIDS.margin_px)
     grid = coarser.part((around.col, around.row), around.shape)
-    area = shapely.box(MARGIN_PX, MARGIN_PX, MARGIN_PX + box.cols, MARGIN_PX + box.rows)
+    area = shapely.box(
+        MATCHING_GRIDS.margin_px,
+        MATCHING_GRIDS.margin_px,
+        MATCHING_GRIDS.margin_px + box.cols,
+        MATCHING_GRIDS.margin_px + box.rows,
+    )
     scale = _axis_scale(grid, finer.grid, area)
-    averaged = scale is not None and np.abs(scale).min() >= _AVERAGE_FROM
+    averaged = scale is not None and np.abs(scale).min() >= MATCHING_GRIDS.average_from
     resampling: ViewResampling = "average" if averaged else "cubic"
     return View(finer, grid, resampling)
 
@@ -296,7 +310,7 @@ def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Flo
     matrix = inverse(linear_part(to_grid.transform)) @ linear_part(from_grid.transform)
     left, top, right, bottom = common.bounds
     skew_px = max(abs(matrix[0, 1]) * (bottom - top), abs(matrix[1, 0]) * (right - left))
-    return None if skew_px > _SAME_SIZE_PX else np.diagonal(matrix).copy()
+    return None if skew_px > MATCHING_GRIDS.same_size_px else np.diagonal(matrix).copy()
 
 
 def _same_coordinates(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> bool:
@@ -304,7 +318,9 @@ def _same_coordinates(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) 
     turn_px = to_grid.turn_px
     if from_grid.crs == to_grid.crs and turn_px is None:
         return True
-    inner = common.buffer(-_SAME_SIZE_PX)  # rounding may take the edge of a map around the earth
+    inner = common.buffer(
+        -MATCHING_GRIDS.same_size_px
+    )  # rounding may take the edge of a map around the earth
     dense = shapely.get_coordinates(shapely.segmentize(inner, max(common.length / 64, 1.0)))
     away = map_px(dense, from_grid, to_grid) - to_grid.to_px(from_grid.to_xy(dense))
     if turn_px is not None and len(away):
@@ -346,7 +362,7 @@ def _typical_place(common: shapely.Geometry, reference: Grid, target: Grid) -> F
     with np.errstate(divide="ignore"):
         sizes[finite] = np.log(np.linalg.svd(steps[finite], compute_uv=False))
     unlike = np.abs(sizes - np.median(sizes[finite], axis=0)).max(axis=1) if finite.any() else np.zeros(1)
-    return at_px[[0 if unlike[0] <= np.log(ALIKE) else int(np.nanargmin(unlike))]]
+    return at_px[[0 if unlike[0] <= np.log(MATCHING_GRIDS.alike) else int(np.nanargmin(unlike))]]
 
 
 def _centre(polygon: shapely.Geometry) -> Float64:

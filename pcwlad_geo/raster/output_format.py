@@ -38,10 +38,18 @@ _EXTENSIONS: Final = {"COG": "tif", "GTIFF": "tif", "ENVI": "dat", "JPEG": "jpg"
 """File extensions of formats for which GDAL lists none, or several."""
 _BLOCK_SIDES: Final = frozenset({"BLOCKSIZE", "BLOCKXSIZE", "BLOCKYSIZE"})
 """Creation options that set the side of blocks, px."""
-_SMALL_PX: Final = 64
-"""Side of the raster that is written as a trial, px."""
 _TILE_BYTES: Final = 2**22
 """Largest size of a tile with all its bands; each compression thread holds one."""
+_BAND_TAGS: Final = "pcwlad-geo-band-tags"
+"""Name under which band tags are stored until the file is written; they are renamed afterwards.
+
+With COPY_SRC_MDD=YES GDAL (3.10) drops the default metadata domain of the bands, without it all other ones.
+SRC_MDD cannot name the default, and rio-cogeo (7.0) loses the domains and the units of the bands.
+"""
+_TEXTS: Final = (".csv", ".html", ".points", ".txt")
+"""Suffixes of the text files that are written."""
+_HEADERS: Final = (".hdr", ".xml")
+"""Suffixes of text files beside a raster; some formats use them for the raster itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +132,8 @@ def files_of(path: Path) -> list[Path]:
     return [path, *sorted({file for file in sidecars if file.is_file()})]
 
 
-def check_format(fmt: OutputFormat, source_uri: str, grid: Grid) -> None:
-    """Check that GDAL can write a raster in a format, by writing a small one with the same properties.
+def check_format(fmt: OutputFormat, source_uri: str, grid: Grid, side_px: int = 64) -> None:
+    """Check that GDAL can write a raster in a format, by writing one of `side_px` with the same properties.
 
     Raises `SettingsError` if the format is unknown or cannot hold such a raster, or an option is unknown, has
     an invalid value, or moves the pixels. The bands of `source_uri` will be written, on the output grid.
@@ -134,7 +142,7 @@ def check_format(fmt: OutputFormat, source_uri: str, grid: Grid) -> None:
         return
     with open_raster(source_uri) as source, tempfile.TemporaryDirectory(prefix="pcwlad-geo-") as folder:
         path = Path(folder) / f"small.{fmt.extension}"
-        small = Grid((_SMALL_PX, _SMALL_PX), grid.transform, grid.crs)
+        small = Grid((side_px, side_px), grid.transform, grid.crs)
         with gdal_log(logging.WARNING, passes_on=False) as records:
             try:
                 _write_small(source, fmt, path, small)
@@ -191,12 +199,6 @@ def _words(record: logging.LogRecord) -> str:
     """Return GDAL's own words of what rasterio logs."""
     message = record.getMessage()
     return message.partition(" in ")[2] or message
-
-
-# With COPY_SRC_MDD=YES GDAL (3.10) drops the default metadata domain of the bands, without it all other ones;
-# SRC_MDD cannot name the default, and rio-cogeo (7.0) loses the domains and the units of the bands. So the
-# band tags are stored under this name and renamed afterwards.
-_BAND_TAGS: Final = "pcwlad-geo-band-tags"
 
 
 def write_described(
@@ -290,12 +292,6 @@ def _interruptible(work: Callable[[], None]) -> None:
         thread.join(0.1)
     if errors:
         raise errors[0]
-
-
-_TEXTS: Final = (".csv", ".html", ".points", ".txt")
-"""Suffixes of the text files that are written."""
-_HEADERS: Final = (".hdr", ".xml")
-"""Suffixes of text files beside a raster; some formats use them for the raster itself."""
 
 
 def verify_output(path: Path) -> None:

@@ -20,12 +20,29 @@ from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.overlap import Box, bounds_of, footprint, shown_by
 from pcwlad_geo.types import Float64
 
-_SAME: Final = 1e-6
-"""Pixel sizes whose relative difference is smaller count as equal."""
-_SAME_ACROSS_UNITS: Final = 0.02
-"""Where units differ, sizes within this share of a multiple or fraction of the reference's become that."""
-_SAME_SCALE: Final = 0.1
-"""Between two CRSs of the same unit whose scales differ by less, a pixel size is kept: 30 m stay 30 m."""
+
+@dataclass(frozen=True, slots=True)
+class OutputGridParameters:
+    """Which differences of pixel sizes and extents do not count."""
+
+    same: float = 1e-6
+    """Pixel sizes whose relative difference is smaller count as equal."""
+    same_across_units: float = 0.02
+    """Between units, sizes within this share of a multiple or fraction of the reference's become that."""
+    same_scale: float = 0.1
+    """Between two CRSs of one unit whose scales differ by less, a pixel size is kept: 30 m stay 30 m."""
+    sliver_px: float = 1e-3
+    """A strip of the footprint thinner than this adds no row or column of pixels."""
+    turned_deg: float = 20.0
+    """Angle from which the axes of a target count as turned against those of the output."""
+    part_of_turn: float = 0.45
+    """Share of a turn around the earth, on each side of a longitude, that is mapped without a cut."""
+    slack_of_turn: float = 1e-3
+    """Share of a turn by which an extent may lack some of the whole earth."""
+
+
+OUTPUT_GRIDS: Final = OutputGridParameters()
+"""Those in use."""
 
 
 def pixel_sizes(lattice: Grid, reference: Grid, target: Grid, rasters: Sequence[Grid]) -> list[Float64]:
@@ -62,7 +79,7 @@ def pixel_sizes(lattice: Grid, reference: Grid, target: Grid, rasters: Sequence[
     return sizes
 
 
-def snapped_size(size: float, tolerance: float = _SAME_ACROSS_UNITS) -> float:
+def snapped_size(size: float, tolerance: float = OUTPUT_GRIDS.same_across_units) -> float:
     """Return the multiple or fraction of 1 within the relative `tolerance` of `size`, or `size` itself."""
     whole = max(1, round(max(size, 1.0 / size)))
     nearest = float(whole) if size >= 1.0 else 1.0 / whole
@@ -87,13 +104,15 @@ def _size_elsewhere(lattice: Grid, target: Grid, reference_size: Float64 | None)
     across, swapped = _steps_across(lattice, target)
     if _same_unit(lattice, target):
         nominal = _lengths(target)[:: -1 if swapped else 1]
-        square = abs(nominal[0] / nominal[1] - 1.0) <= _SAME
-        if (square or not _turned(lattice, target)) and np.all(np.abs(across / nominal - 1.0) <= _SAME_SCALE):
+        square = abs(nominal[0] / nominal[1] - 1.0) <= OUTPUT_GRIDS.same
+        if (square or not _turned(lattice, target)) and np.all(
+            np.abs(across / nominal - 1.0) <= OUTPUT_GRIDS.same_scale
+        ):
             return nominal if reference_size is None else _or_equal(nominal, reference_size)
     if reference_size is not None:
         ratio = np.array([snapped_size(value) for value in across / reference_size])
         whole = np.maximum(ratio, 1.0 / ratio)
-        if np.all(np.abs(whole - np.rint(whole)) <= _SAME):
+        if np.all(np.abs(whole - np.rint(whole)) <= OUTPUT_GRIDS.same):
             return ratio * reference_size
     side = float(f"{across.min():.1e}")
     return np.array([side, side])
@@ -106,12 +125,14 @@ def _same_unit(lattice: Grid, target: Grid) -> bool:
 
 
 def _or_equal(size: Float64, reference_size: Float64) -> Float64:
-    return np.where(np.abs(size / reference_size - 1.0) <= _SAME, reference_size, size)
+    return np.where(np.abs(size / reference_size - 1.0) <= OUTPUT_GRIDS.same, reference_size, size)
 
 
 def _ratio(lattice: Grid, raster: Grid, target: Grid) -> Float64:
     """Return the (2,) ratio of a raster's pixel size to the target's, along the axes of the output."""
-    ratio = np.array([snapped_size(value, _SAME) for value in _lengths(raster) / _lengths(target)])
+    ratio = np.array(
+        [snapped_size(value, OUTPUT_GRIDS.same) for value in _lengths(raster) / _lengths(target)]
+    )
     return ratio[:: -1 if _steps_across(lattice, target)[1] else 1]
 
 
@@ -143,16 +164,12 @@ def _turned(lattice: Grid, target: Grid) -> bool:
     """Whether no axis of the target is near one of the output, so that its two sizes cannot be assigned."""
     forward = np.abs(_slopes(lattice, target))
     share = forward.min(axis=0) / forward.max(axis=0)
-    return bool(share.max() > np.tan(np.radians(20.0)))
+    return bool(share.max() > np.tan(np.radians(OUTPUT_GRIDS.turned_deg)))
 
 
 def _lengths(grid: Grid) -> Float64:
     """Return the (2,) lengths of a pixel along columns and rows, map units."""
     return np.asarray(np.hypot(*linear_part(grid.transform)))
-
-
-SLIVER_PX: Final = 1e-3
-"""A strip of the footprint thinner than this adds no row or column of pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,8 +289,8 @@ def lay_out(
     for other_low, other_high in boxes[1:]:
         low = np.where(other_low < low - step, other_low, low)
         high = np.where(other_high > high + step, other_high, high)
-    first = np.floor(low / step + SLIVER_PX)
-    steps = np.maximum(np.ceil(high / step - SLIVER_PX) - first, 1)
+    first = np.floor(low / step + OUTPUT_GRIDS.sliver_px)
+    steps = np.maximum(np.ceil(high / step - OUTPUT_GRIDS.sliver_px) - first, 1)
     return [_laid(lattice, first * step, size, _count(steps, step, size)) for size in sizes[1:]]
 
 
@@ -308,14 +325,10 @@ def check_covered(
     )
 
 
-_PART_OF_TURN: Final = 0.45
-"""Share of a turn around the earth, on each side of a longitude, that is mapped without a cut."""
-
-
 def mapped_parts(target: Grid) -> tuple[float, ...]:
     """Return the `turns` of `original_pixels` that map all of a raster: three if it is around the earth."""
     x = target.to_xy(target.boundary_px())[:, 0]
-    return (0.0, 0.5, -0.5) if np.ptp(x) > 2 * _PART_OF_TURN * target.turn else (0.0,)
+    return (0.0, 0.5, -0.5) if np.ptp(x) > 2 * OUTPUT_GRIDS.part_of_turn * target.turn else (0.0,)
 
 
 def original_pixels(
@@ -337,7 +350,7 @@ def original_pixels(
             return map_px(correction.forward(at_px), target_grid, own_grid)
         xy = transform_xy(grid.to_xy(at_px), grid.crs, target_grid.crs)
         xy = in_turn(xy, about, turn)
-        xy = np.where(np.abs(xy[:, :1] - about) <= _PART_OF_TURN * turn, xy, np.nan)
+        xy = np.where(np.abs(xy[:, :1] - about) <= OUTPUT_GRIDS.part_of_turn * turn, xy, np.nan)
         observed_px = correction.forward(target_grid.to_px(xy))
         return observed_px if own_grid == target_grid else own_grid.to_px(target_grid.to_xy(observed_px))
 
@@ -376,7 +389,7 @@ def _in_turn_of(ref_box: Box, box: Box, turn_px: Float64 | None) -> Box:
     turn, middle = float(np.hypot(*turn_px)), (ref_box[0] + ref_box[1]) / 2
     shift = np.rint((middle - (box[0] + box[1]) / 2) @ turn_px / turn**2) * turn_px
     low, high = box[0] + shift, box[1] + shift
-    slack = 1e-3 * turn
+    slack = OUTPUT_GRIDS.slack_of_turn * turn
     if high[0] - low[0] > turn - slack and (
         ref_box[0][0] < low[0] - slack or ref_box[1][0] > high[0] + slack
     ):
@@ -388,8 +401,8 @@ def _count(steps: Float64, step: Float64, size: Float64) -> Float64:
     """Return the (2,) numbers of pixels of a size that cover a number of steps."""
     ratio = step / size
     whole = np.rint(ratio)
-    exact = np.abs(ratio / whole - 1.0) <= 1e-6
-    return np.where(exact, steps * whole, np.ceil(steps * ratio - SLIVER_PX))
+    exact = np.abs(ratio / whole - 1.0) <= OUTPUT_GRIDS.same
+    return np.where(exact, steps * whole, np.ceil(steps * ratio - OUTPUT_GRIDS.sliver_px))
 
 
 def _within(lattice: Grid, request: GridRequest, size: Float64, step: Float64) -> Grid:

@@ -35,7 +35,7 @@ class FootprintParameters:
     """Largest distance from the chord between its neighbours, per length; at the cut of a map it is 0.5."""
 
 
-PARAMETERS: Final = FootprintParameters()
+FOOTPRINTS: Final = FootprintParameters()
 """The parameters of all footprints."""
 EARTH: Final = Grid((180, 360), Affine(1, 0, -180, 0, -1, 90), WGS84)
 """All longitudes and latitudes, in pixels of a degree."""
@@ -45,18 +45,18 @@ Box = tuple[Float64, Float64]
 
 def common_ground(reference: Grid, target: Grid) -> shapely.Geometry:
     """Return the area that both rasters show, polygons in reference px; empty where there is none."""
-    outline = _outline(target.boundary_px(PARAMETERS.points_per_side), target, reference)
+    outline = _outline(target.boundary_px(FOOTPRINTS.points_per_side), target, reference)
     if outline is not None:
         return shown_by(reference, outline)
-    outline = _outline(reference.boundary_px(PARAMETERS.points_per_side), reference, target)
+    outline = _outline(reference.boundary_px(FOOTPRINTS.points_per_side), reference, target)
     if outline is not None:
         return _mapped(shown_by(target, outline), target, reference)
-    near_px = _known_px(target.lattice_px(PARAMETERS.points_per_side), target, reference)
+    near_px = _known_px(target.lattice_px(FOOTPRINTS.points_per_side), target, reference)
     near_px = near_px[_inside(near_px, reference)]
     if len(near_px) == 0:
         return shapely.Polygon()
     low, high = near_px.min(axis=0), near_px.max(axis=0)
-    size = np.maximum(high - low, 1.0) / PARAMETERS.points_per_side
+    size = np.maximum(high - low, 1.0) / FOOTPRINTS.points_per_side
     middles = positions(*(np.arange(a - b, c + b, b) for a, b, c in zip(low, size, high, strict=True)))
     target_xy, defined = _placed(middles, reference, target)
     middles = middles[defined & _inside(target.to_px(target.in_turn(target_xy)), target)]
@@ -71,11 +71,11 @@ def footprint(grid: Grid, onto: Grid, outline_px: Float64 | None = None) -> tupl
     coordinates in the CRS of `onto`; otherwise the polygon is around the places that have, which leaves out
     the space around a full disk.
     """
-    outline_px = grid.boundary_px(PARAMETERS.points_per_side) if outline_px is None else outline_px
+    outline_px = grid.boundary_px(FOOTPRINTS.points_per_side) if outline_px is None else outline_px
     outline = _outline(outline_px, grid, onto)
     if outline is not None:
         return outline, True
-    ends = np.linspace(outline_px.min(axis=0), outline_px.max(axis=0), PARAMETERS.points_to_limb)
+    ends = np.linspace(outline_px.min(axis=0), outline_px.max(axis=0), FOOTPRINTS.points_to_limb)
     return shapely.MultiPoint(_known_px(positions(*ends.T), grid, onto)).convex_hull, False
 
 
@@ -85,7 +85,7 @@ def lon_lat_outline(grid: Grid) -> shapely.MultiPolygon:
     As RFC 7946 (3.1.9) asks, it is cut at 180 degrees, and none of its parts lies beyond. An outline around a
     pole goes along that parallel.
     """
-    xy, defined = _placed(grid.boundary_px(PARAMETERS.points_per_side), grid, EARTH)
+    xy, defined = _placed(grid.boundary_px(FOOTPRINTS.points_per_side), grid, EARTH)
     polygon = _polygon_around(xy) if defined.all() else _hull_of_defined(grid)
     polygons = shown_by(EARTH, shapely.transform(polygon, EARTH.to_px).simplify(1e-7).buffer(0))
     parts = shapely.get_parts(shapely.transform(polygons, EARTH.to_xy))
@@ -100,13 +100,13 @@ def _polygon_around(xy: Float64) -> shapely.Polygon:
         pole, end = np.copysign(90.0, xy[:, 1].mean()), xy[0, 0] + around
         xy = np.vstack([xy, [[end, xy[0, 1]], [end, pole], [xy[0, 0], pole]]])
     elif np.abs(xy[:, 0]).max() <= EARTH.turn / 2:
-        xy = xy[:: PARAMETERS.points_per_side // 2]  # nothing is cut: corners and middles of sides
+        xy = xy[:: FOOTPRINTS.points_per_side // 2]  # nothing is cut: corners and middles of sides
     return shapely.Polygon(xy)
 
 
 def _hull_of_defined(grid: Grid) -> shapely.Geometry:
     """Return the convex hull, longitudes and latitudes, of the places of a raster that are on the earth."""
-    xy, defined = _placed(grid.lattice_px(PARAMETERS.points_per_side), grid, EARTH)
+    xy, defined = _placed(grid.lattice_px(FOOTPRINTS.points_per_side), grid, EARTH)
     turned = np.exp(1j * np.radians(xy[defined, 0]))
     middle = float(np.degrees(np.angle(turned.sum()))) if defined.any() else 0.0
     return shapely.MultiPoint(in_turn(xy[defined], middle, EARTH.turn)).convex_hull
@@ -154,7 +154,7 @@ def window_of(polygons: shapely.Geometry, from_grid: Grid, to_grid: Grid) -> Win
     at_px = map_px(_points_of(polygons), from_grid, to_grid)
     if not _placed(_points_of(polygons), from_grid, to_grid)[1].all():
         # Rounding may take the edge of a map around the earth, to the other end of one that does not go on.
-        inner_px = _known_px(_points_of(polygons.buffer(-PARAMETERS.edge_px)), from_grid, to_grid)
+        inner_px = _known_px(_points_of(polygons.buffer(-FOOTPRINTS.edge_px)), from_grid, to_grid)
         at_px = inner_px if len(inner_px) else at_px
     at_px = at_px[np.isfinite(at_px).all(axis=1)]
     # A millionth of a pixel is a rounding error and adds no row.
@@ -187,7 +187,7 @@ def _placed(points_px: Float64, grid: Grid, onto: Grid) -> tuple[Float64, Bool]:
     away = in_turn(transform_xy(xy, onto.crs, grid.crs) - map_xy, 0.0, grid.turn)
     off_px = solve(linear_part(grid.transform), away.T).T
     with np.errstate(invalid="ignore"):
-        defined = (np.abs(off_px) <= PARAMETERS.round_trip_px).all(axis=1)
+        defined = (np.abs(off_px) <= FOOTPRINTS.round_trip_px).all(axis=1)
     return xy, np.asarray(defined & np.isfinite(xy).all(axis=1))
 
 
@@ -214,7 +214,7 @@ def _outline(outline_px: Float64, grid: Grid, onto: Grid) -> shapely.Polygon | N
     before, after = np.roll(px, 1, axis=0)[1::2], np.roll(px, -1, axis=0)[1::2]
     bend = np.linalg.norm(px[1::2] - (before + after) / 2, axis=1)
     polygon = shapely.Polygon(px)
-    straight = (bend <= PARAMETERS.bend * np.linalg.norm(after - before, axis=1)).all()
+    straight = (bend <= FOOTPRINTS.bend * np.linalg.norm(after - before, axis=1)).all()
     return polygon if straight and polygon.is_valid else None
 
 

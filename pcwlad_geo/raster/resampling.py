@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -11,8 +13,19 @@ from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.types import Bool, Float64
 
-_NODE_STEP_PX = 16
-_NODE_ERROR_PX = 0.01  # between nodes, at which every position is mapped
+
+@dataclass(frozen=True, slots=True)
+class NodeParameters:
+    """The nodes between which positions are interpolated."""
+
+    step_px: int = 16
+    """Distance of the nodes."""
+    max_error_px: float = 0.01
+    """Error between nodes from which every position is mapped."""
+
+
+NODES: Final = NodeParameters()
+"""Those in use."""
 
 
 def box_average(
@@ -94,9 +107,9 @@ def sample_positions(window: Window, per_px: int, mapping: Callable[[Float64], F
     from scipy.interpolate import RectBivariateSpline  # slow to load, and most pairs share a CRS
 
     splines = [RectBivariateSpline(row_nodes, col_nodes, part, s=0) for part in at_nodes]
-    between = row_nodes[:-1] + _NODE_STEP_PX / 2, col_nodes[:-1] + _NODE_STEP_PX / 2
+    between = row_nodes[:-1] + NODES.step_px / 2, col_nodes[:-1] + NODES.step_px / 2
     off_px = np.abs([spline(*between) for spline in splines] - _on_grid(mapping, *between))
-    if not off_px.max() <= _NODE_ERROR_PX:
+    if not off_px.max() <= NODES.max_error_px:
         return _on_grid(mapping, rows, cols)
     return np.stack([spline(rows, cols) for spline in splines])
 
@@ -134,9 +147,9 @@ def _cell_centres(first: int, count: int, per_px: int) -> Float64:
 
 
 def _nodes(positions: Float64) -> Float64:
-    first = np.floor(positions[0] / _NODE_STEP_PX) - 1
-    last = np.ceil(positions[-1] / _NODE_STEP_PX) + 1
-    return np.arange(first, last + 1) * _NODE_STEP_PX
+    first = np.floor(positions[0] / NODES.step_px) - 1
+    last = np.ceil(positions[-1] / NODES.step_px) + 1
+    return np.arange(first, last + 1) * NODES.step_px
 
 
 def _on_grid(mapping: Callable[[Float64], Float64], rows: Float64, cols: Float64) -> Float64:

@@ -21,18 +21,17 @@ from pcwlad_geo.limits import CHECKED_PX, FILE_PX
 from pcwlad_geo.raster.areas import Areas, read_areas
 from pcwlad_geo.raster.bands import BandPart, Bands
 from pcwlad_geo.raster.cameras import Camera, camera_of
+from pcwlad_geo.raster.collars import Collar
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
 from pcwlad_geo.raster.georeferencing import check_place, grid_of_file, plane_transform_of
 from pcwlad_geo.raster.grid import Grid, Window
-from pcwlad_geo.raster.masks import Collar, MaskKind, kind_of
+from pcwlad_geo.raster.masks import MaskKind, kind_of
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.stored_pixels import check_dataset
 from pcwlad_geo.types import Bool, PathLike
 
 MAX_READ_PX: Final = 2**25
 """Largest number of pixels of a file without overviews that is read for an overview of it."""
-MAX_NAMED: Final = 12
-"""Number of subdatasets that a message names at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,19 +83,19 @@ class RasterInfo:
     brightness: bytes | None = None
     """Of a band with a colour table: the brightness of each of its indices, see `_brightness_of`."""
     collar: Collar | None = None
-    """A constant border that counts as nodata, see `without_collar`."""
+    """A constant border that counts as nodata, see `undeclared.without_collar`."""
     fills: tuple[Fill, ...] = ()
-    """Values that count as nodata, see `fill.without_fill`; of several bands, in each of them."""
+    """Values that count as nodata, see `fill.find_fills`; of several bands, in each of them."""
     shows_blocks: bool = False
     """Whether blocks of lossy compression show, see `with_compression_blocks`."""
     camera: Camera | None = None
     """What a file without georeferencing says of the camera that took it."""
     limits: Limits = ALL_VALUES
-    """Values of the band beyond these count as nodata, see `extremes.without_extremes`."""
+    """Values of the band beyond these count as nodata, see `undeclared.without_extremes`."""
     content: str = ""
     """Digest of the versions of the files (`identity.digest`), to detect changes; empty where unknown."""
     several: Bands | None = None
-    """The bands, where there are several, with their weights, see `view.with_bands`."""
+    """The bands, where there are several, with their weights, see `combined_bands.with_bands`."""
 
 
 def bands_of(info: RasterInfo) -> Bands:
@@ -235,10 +234,10 @@ def check_band(uri: str, dataset: DatasetReader, band: int) -> None:
     """Raise `InputError` if an open raster has no such band, or the band is complex."""
     if dataset.count == 0 and dataset.subdatasets:
         first, *siblings = dataset.subdatasets
-        ends = ", ".join(re.split("[/:]", name)[-1] for name in siblings[:MAX_NAMED])
+        ends = ", ".join(re.split("[/:]", name)[-1] for name in siblings[:12])
         raise InputError(
             f"{uri} holds subdatasets, not bands: give one of them, such as {first}"
-            + (f"; the others end in {ends}{' …' * (len(siblings) > MAX_NAMED)}" if siblings else "")
+            + (f"; the others end in {ends}{' …' * (len(siblings) > 12)}" if siblings else "")
         )
     if dataset.driver == "HDF5Image" and 2 * dataset.height < min(dataset.count, dataset.width):
         raise InputError(

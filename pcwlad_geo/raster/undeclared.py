@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,17 +14,27 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.plausible import is_plausible, plausible_limits
 from pcwlad_geo.in_memory import equals_nodata
 from pcwlad_geo.raster.band_pixels import BandPixels
+from pcwlad_geo.raster.collars import find_collar
 from pcwlad_geo.raster.fill import fill_note, find_fills
 from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.masks import find_collar, find_frame
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.pixels import read_nearest
+from pcwlad_geo.raster.scanned_frames import find_frame
 from pcwlad_geo.raster.source import RasterInfo, has_quick_overview, is_huge
 
-LEAST_TOLD_BORDER: Final = 0.01
-"""Share of a raster that its constant border takes, from which that is worth a warning."""
-MIN_BYTES: Final = 4
-"""Numbers of fewer bytes cannot be so far from the others that nothing measures them."""
+
+@dataclass(frozen=True, slots=True)
+class UndeclaredParameters:
+    """Which undeclared pixels are looked for, and which of them are worth a warning."""
+
+    noted_border: float = 0.01
+    """Least share of a raster that its constant border takes for a warning."""
+    min_bytes: int = 4
+    """Numbers of fewer bytes cannot be so far from the others that nothing measures them."""
+
+
+UNDECLARED: Final = UndeclaredParameters()
+"""Those in use."""
 
 
 def without_undeclared(
@@ -54,9 +64,9 @@ def without_undeclared(
 def without_collar(info: RasterInfo, pixels: BandPixels | None = None) -> tuple[RasterInfo, tuple[str, ...]]:
     """Return a band with its collar as nodata, and a note that says so if it has one.
 
-    A collar is a constant border that nothing marks (see `masks.find_collar`). A band with a nodata value, an
-    alpha band or a mask of any kind has said which of its pixels count, and is returned as it is, as is one
-    that cannot be read here: whoever reads it next reports that. Of any other band four corners are read,
+    A collar is a constant border that nothing marks (see `collars.find_collar`). A band with a nodata value,
+    an alpha band or a mask of any kind has said which of its pixels count, and is returned as it is, as is
+    one that cannot be read here: whoever reads it next reports that. Of any other band four corners are read,
     and more of it only if one of them is constant. The `pixels` are those of the band.
     """
     if info.nodata is not None or info.mask_uri is not None:
@@ -81,7 +91,7 @@ def without_collar(info: RasterInfo, pixels: BandPixels | None = None) -> tuple[
         f"a {what} {collar.value:g}) of {100 * collar.share:.2g} % of {info.uri} is taken "
         "for nodata; if it is data, declare another nodata value, or give a mask"
     )
-    return replace(info, collar=collar), (note,) if collar.share >= LEAST_TOLD_BORDER else ()
+    return replace(info, collar=collar), (note,) if collar.share >= UNDECLARED.noted_border else ()
 
 
 def without_extremes(
@@ -92,7 +102,7 @@ def without_extremes(
     A band that cannot be read here is returned as it is: whoever reads it next reports that. The `pixels`
     are those of the band.
     """
-    if np.dtype(info.dtype).itemsize < MIN_BYTES:
+    if np.dtype(info.dtype).itemsize < UNDECLARED.min_bytes:
         return info, ()
     with suppress(InputError):
         if has_quick_overview(info):

@@ -2,44 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import groupby
-from operator import attrgetter
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp
-from rasterio.io import DatasetReader
-from rasterio.windows import Window as FileWindow
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.estimation.plausible import is_plausible, plausible_limits
 from pcwlad_geo.limits import UNREAD_PARTS
-from pcwlad_geo.raster.bands import BandPart, Bands
-from pcwlad_geo.raster.gdal import GDAL_ERRORS
+from pcwlad_geo.raster.band_reading import read_window
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, map_px
 from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.pixels import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.resampling import block_mean, box_average, cell_means, sample_positions, spline_samples
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height, positions_on
-from pcwlad_geo.raster.source import Fill, RasterInfo, bands_of, check_band, describe
+from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.types import Bool, Float32, Float64
 
 ViewResampling = Literal["none", "nearest", "average", "cubic"]
 
-MIN_VALID_AVERAGE = 0.5
-"""Least share of valid area from which an averaged pixel is valid."""
-MIN_VALID_CUBIC = 0.9
-"""Least share of valid neighbouring pixels from which an interpolated pixel is valid."""
 
-_MAX_PX_AT_ONCE = 1 << 23  # of the file or of samples: 64 MB as float64
-_MAX_VALUES = 1 << 25  # of several bands: 64 MB as 16 bits
-_SAMPLES_ACROSS, _SAMPLE_PX = 6, 32  # from which the weights of several bands are estimated
-_MIN_PART_PX = 32  # unreadable parts are not divided further
-_SPLINE_REACH_PX = 16  # the prefilter's impulse response falls to 1e-9 within this distance
+@dataclass(frozen=True, slots=True)
+class ViewParameters:
+    """How a view is read."""
+
+    min_valid_average: float = 0.5
+    """Least share of valid area from which an averaged pixel is valid."""
+    min_valid_cubic: float = 0.9
+    """Least share of valid neighbouring pixels from which an interpolated pixel is valid."""
+    max_px_at_once: int = 1 << 23
+    """Largest number of pixels, of the file or of samples, at a time: 64 MB as float64."""
+    min_part_px: int = 32
+    """Largest side of an unreadable part that is not divided further."""
+    spline_reach_px: int = 16
+    """Distance within which the impulse response of the spline's prefilter falls to 1e-9."""
+
+
+VIEWS: Final = ViewParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +130,7 @@ def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.
         return _read_own(view, window)
     source = _at_overview(view, overview)
     step = file_px_per_px(source)
-    if window.rows * window.cols * np.prod(step + 1) > _MAX_PX_AT_ONCE and max(window.shape) > 1:
+    if window.rows * window.cols * np.prod(step + 1) > VIEWS.max_px_at_once and max(window.shape) > 1:
         return _joined([_read(view, half, overview) for half in window.halves()], window)
     if view.resampling == "average":
         return _read_averaged(source, window, overview)
@@ -155,7 +154,7 @@ def _read_what_can_be(
         tries.failed += 1
         if tries.failed > UNREAD_PARTS:  # each part opens the file again: all of a large one would take hours
             raise
-        if max(window.shape) <= _MIN_PART_PX:
+        if max(window.shape) <= VIEWS.min_part_px:
             return np.zeros(window.shape, view.info.dtype), np.zeros(window.shape, bool)
     return _joined([_read_what_can_be(view, half, overview, tries) for half in window.halves()], window)
 
@@ -175,7 +174,7 @@ def _read_own(view: View, window: Window) -> tuple[NDArray[np.generic], Bool]:
     corners = np.array([[window.col, window.row], [window.col_stop, window.row_stop]], dtype=np.float64)
     first, last = np.rint(view.to_file_px(corners)).astype(int)
     (col, row), (col_stop, row_stop) = np.minimum(first, last).tolist(), np.maximum(first, last).tolist()
-    values, valid = _read_file(view.info, Window.from_bounds(row, col, row_stop, col_stop), None)
+    values, valid = read_window(view.info, Window.from_bounds(row, col, row_stop, col_stop), None)
     order = tuple(slice(None, None, -1 if falls else 1) for falls in (last < first)[::-1].tolist())
     return values[order], valid[order]
 
@@ -190,11 +189,11 @@ def _read_averaged(source: View, window: Window, overview: int | None) -> tuple[
     inside = Window.around(np.array(low), np.array(high)).clipped(source.info.grid.shape)
     if inside.empty:
         return np.zeros(window.shape), np.zeros(window.shape, dtype=bool)
-    values, valid = _read_file(source.info, inside, overview)
+    values, valid = read_window(source.info, inside, overview)
     average, fraction = box_average(
         values.astype(np.float64), valid, row_edges - inside.row, col_edges - inside.col
     )
-    return average, fraction >= MIN_VALID_AVERAGE - 1e-9
+    return average, fraction >= VIEWS.min_valid_average - 1e-9
 
 
 def _read_interpolated(
@@ -207,16 +206,16 @@ def _read_interpolated(
     needed = _around(positions, factor, source.info.grid.shape)
     if needed.empty:
         return np.zeros(window.shape), np.zeros(window.shape, dtype=bool)
-    if needed.area_px2 > 2 * _MAX_PX_AT_ONCE and max(window.shape) > 1:  # from both ends of the earth
+    if needed.area_px2 > 2 * VIEWS.max_px_at_once and max(window.shape) > 1:  # from both ends of the earth
         halves = [_read_interpolated(source, half, overview, step) for half in window.halves()]
         axis = 0 if window.rows >= window.cols else 1
         (first, valid), (second, also) = halves
         return np.concatenate([first, second], axis), np.concatenate([valid, also], axis)
-    values, valid = _read_file(source.info, needed, overview)
+    values, valid = read_window(source.info, needed, overview)
     means, fraction = block_mean(values.astype(np.float64), valid, factor)
     origin_rc = np.array([needed.row, needed.col])[:, None, None]
     samples, shares = spline_samples(means, fraction, (positions - origin_rc) / factor)
-    return cell_means(samples, per_px), cell_means(shares, per_px) >= MIN_VALID_CUBIC
+    return cell_means(samples, per_px), cell_means(shares, per_px) >= VIEWS.min_valid_cubic
 
 
 def _positions(source: View, window: Window, per_px: int) -> Float64:
@@ -232,185 +231,11 @@ def _around(positions_rc: Float64, factor: int, shape: tuple[int, int]) -> Windo
     if rows.size == 0 or cols.size == 0:
         return Window(0, 0, 0, 0)
     bounds = np.array([[rows.min(), cols.min()], [rows.max(), cols.max()]]) / factor
-    low = np.maximum(np.floor(bounds[0]) - _SPLINE_REACH_PX, 0).astype(int)
+    low = np.maximum(np.floor(bounds[0]) - VIEWS.spline_reach_px, 0).astype(int)
     blocks = -(-np.array(shape) // factor)
-    high = np.minimum(np.ceil(bounds[1]) + _SPLINE_REACH_PX, blocks).astype(int)
+    high = np.minimum(np.ceil(bounds[1]) + VIEWS.spline_reach_px, blocks).astype(int)
     row, col, row_stop, col_stop = (np.concatenate([low, high]) * factor).tolist()
     return Window.from_bounds(row, col, row_stop, col_stop)
-
-
-def _read_file(info: RasterInfo, window: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
-    """Read own pixels in the band's dtype, with their validity; pixels outside the raster are not valid.
-
-    Of several bands it is their weighted sum, float64, valid where each of them is. Indices of a colour table
-    become the brightness of their colours.
-    """
-    inside = window.clipped(info.grid.shape)
-    values = np.zeros(window.shape, dtype=np.float64 if info.several else info.dtype)
-    valid = np.zeros(window.shape, dtype=bool)
-    if inside.empty:
-        return values, valid
-    slices = inside.slices_in(window)
-    values[slices], valid[slices] = _read_bands(bands_of(info), info.fills, inside, overview)
-    valid[slices] &= valid_in_mask_file(info, inside)
-    if info.areas is not None:
-        valid[slices] &= info.areas.valid(inside, info.grid)
-    if info.collar is not None:
-        valid[slices] &= info.collar.valid(inside, info.grid.shape)
-    if info.brightness is not None:
-        values = np.frombuffer(info.brightness, np.uint8)[values]
-    values[~valid] = 0
-    return values, valid
-
-
-def _read_bands(
-    bands: Bands, fills: Sequence[Fill], inside: Window, overview: int | None
-) -> tuple[NDArray[np.generic], Bool]:
-    """Read the (rows, cols) values of a window within a raster, and their validity by the files."""
-    options = {} if overview is None else {"OVERVIEW_LEVEL": overview}
-    total, valid = np.zeros(inside.shape), np.ones(inside.shape, bool)
-    for path, group in groupby(bands.parts, key=attrgetter("path")):
-        parts = list(group)
-        with open_raster(path, **options) as dataset:
-            for window, read, good in _read_layers(dataset, parts, fills, inside):
-                if len(bands.parts) == 1:
-                    return read[0], good[0]
-                slices = window.slices_in(inside)
-                valid[slices] &= np.logical_and.reduce(good)
-                for part, layer, mask in zip(parts, read, good, strict=True):
-                    total[slices] += part.weight * np.where(mask, layer, 0).astype(np.float64)
-    return total, valid
-
-
-def _read_layers(
-    dataset: DatasetReader, parts: Sequence[BandPart], fills: Sequence[Fill], inside: Window
-) -> Iterator[tuple[Window, list[NDArray[np.generic]], list[Bool]]]:
-    """Yield the values and validities of bands of a file, by as many rows as fit into memory."""
-    numbers = [part.band for part in parts]
-    one_dtype = len({dataset.dtypes[number - 1] for number in numbers}) == 1
-    count = inside.rows if len(parts) == 1 else max(1, _MAX_VALUES // (len(parts) * inside.cols))
-    for row in range(inside.row, inside.row_stop, count):
-        window = Window(row, inside.col, min(count, inside.row_stop - row), inside.cols)
-        place = FileWindow(window.col, window.row, window.cols, window.rows)
-        try:
-            read = list(
-                dataset.read(numbers, window=place)
-                if one_dtype
-                else (dataset.read(number, window=place) for number in numbers)
-            )
-            good = [
-                is_plausible(layer, part.limits) & valid_in_file(dataset, part.band, layer, place)
-                for part, layer in zip(parts, read, strict=True)
-            ]
-            for fill in fills:
-                good = [mask & fill.is_data(layer) for mask, layer in zip(good, read, strict=True)]
-        except GDAL_ERRORS as error:
-            raise InputError(
-                f"{parts[0].path}: {Bands(tuple(parts)).numbers} cannot be read at rows {window.row} to "
-                f"{window.row_stop}, columns {window.col} to {window.col_stop}: the file may be truncated or "
-                "corrupt"
-            ) from error
-        yield window, read, good
-
-
-def with_bands(info: RasterInfo, bands: Bands) -> RasterInfo:
-    """Return a band together with others of its grid, as one image: the sum of their weighted values.
-
-    The weights are found once, on windows spread over the raster, and are the same wherever it is read. Those
-    of the mean bring all bands to the same range between their 5th and 95th percentile; those of the first
-    principal component are of the covariance of the bands so scaled, the largest being positive. The sum of
-    their squares is 1, so that the image is as noisy as a band. Of the component bands are left out that are
-    constant, or valid on less than half of what another is. One band is returned as it is.
-
-    Raises `InputError` if a band is missing or has another grid.
-    """
-    if len(bands.parts) == 1:
-        return info
-    parts, dtype = _parts_of(info, bands)
-    read, good = _samples(info, parts)
-    if bands.principal:
-        varies = [mask.any() and np.ptp(layer[mask]) > 0 for layer, mask in zip(read, good, strict=True)]
-        count = good.sum(axis=1)
-        usable = np.flatnonzero(varies & (2 * count >= count.max()))
-        usable = usable if usable.size else np.arange(1)
-        parts, read, good = [parts[index] for index in usable.tolist()], read[usable], good[usable]
-    weights = _weights(read[:, good.all(axis=0)], principal=bands.principal)
-    several = tuple(
-        replace(part, weight=weight, limits=plausible_limits(layer[mask]))
-        for part, weight, layer, mask in zip(parts, weights, read, good, strict=True)
-    )
-    return replace(
-        info, band=parts[0].band, dtype=dtype, brightness=None, several=Bands(several, bands.principal)
-    )
-
-
-def _parts_of(info: RasterInfo, bands: Bands) -> tuple[Sequence[BandPart], str]:
-    """Return the bands that are meant, and the type that holds the values of all."""
-    parts: Sequence[BandPart] = bands.parts
-    if not parts:
-        with open_raster(info.uri) as dataset:
-            kinds = enumerate(zip(dataset.colorinterp, dataset.dtypes, strict=True), 1)
-            parts = [
-                BandPart(info.uri, number)
-                for number, (kind, dtype) in kinds
-                if kind != ColorInterp.alpha and "complex" not in dtype
-            ]
-    dtypes: set[str] = set()
-    for path, group in groupby(parts, key=attrgetter("path")):
-        if path != info.uri and describe(path).grid != info.grid:
-            raise InputError(
-                f"{path} has other pixels than {info.uri}: several bands are matched as one image where they "
-                "have the same size and georeferencing (of Sentinel-2, such as B04_20m)"
-            )
-        with open_raster(path) as dataset:
-            for part in group:
-                check_band(path, dataset, part.band)
-                dtypes.add(dataset.dtypes[part.band - 1])
-    return parts, str(np.result_type(*sorted(dtypes)))
-
-
-def _samples(info: RasterInfo, parts: Sequence[BandPart]) -> tuple[Float64, Bool]:
-    """Return (bands, n) values and their validity in windows spread over a raster."""
-    windows = Window.spread(info.grid.shape, _SAMPLE_PX, _SAMPLES_ACROSS)
-    allowed = [valid_in_mask_file(info, window) for window in windows]
-    if info.collar is not None:
-        allowed = [
-            mask & info.collar.valid(window, info.grid.shape)
-            for mask, window in zip(allowed, windows, strict=True)
-        ]
-    values = np.zeros((len(parts), len(windows), windows[0].area_px2))
-    valid = np.zeros(values.shape, bool)
-    count = 0
-    for path, group in groupby(parts, key=attrgetter("path")):
-        file_parts = list(group)
-        rows = slice(count, count := count + len(file_parts))
-        with open_raster(path) as dataset:
-            for number, window in enumerate(windows):
-                with suppress(InputError):  # the tile that holds it reports what cannot be read
-                    for _, read, good in _read_layers(dataset, file_parts, info.fills, window):
-                        values[rows, number] = np.reshape(read, (len(file_parts), -1))
-                        valid[rows, number] = np.reshape(good & allowed[number], (len(file_parts), -1))
-    values[~valid] = 0
-    return values.reshape(len(parts), -1), valid.reshape(len(parts), -1)
-
-
-@np.errstate(over="ignore", invalid="ignore")  # of the largest numbers, whose bands count nothing
-def _weights(samples: Float64, *, principal: bool) -> list[float]:
-    """Return a weight for each band of (bands, n) samples."""
-    equal = np.full(len(samples), 1.0)
-    scale = equal
-    if samples.shape[1] > 1:
-        low, middle, high = np.percentile(samples, [5, 50, 95], axis=1)[:, :, None]
-        spread = np.where(high > low, high - low, samples.std(axis=1, keepdims=True))
-        usable = np.isfinite(spread) & (spread > 0)
-        scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=usable)[:, 0]
-        if principal:
-            scaled = np.clip((samples - middle) * scale[:, None], -2, 2)
-            scale *= np.linalg.eigh(np.cov(scaled))[1][:, -1]
-            size = np.abs(scale)
-            scale *= np.sign(scale[np.flatnonzero(size >= (1 - 1e-6) * size.max())[0]])
-    scale = scale if scale.any() else equal
-    return [float(f"{weight:.9g}") for weight in scale / np.linalg.norm(scale)]
 
 
 def _overview_for(info: RasterInfo, step_px: float) -> int | None:

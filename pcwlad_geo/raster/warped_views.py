@@ -1,47 +1,52 @@
-"""Rasters that GDAL warps while they are read: VRTs, lattices of positions, blocks of damaged files too."""
+"""Blocks of rasters that GDAL warps while they are read, in a few threads, of damaged files too."""
 
 from __future__ import annotations
 
 import os
 import queue
 import threading
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from contextvars import copy_context
 from dataclasses import dataclass, field
 from itertools import groupby
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import rasterio
-import rasterio.shutil
 from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 from rasterio.io import DatasetReader
-from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from pcwlad_geo.correction.dense import DenseMapping
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
 from pcwlad_geo.raster.grid import Window as PixelWindow
 from pcwlad_geo.types import Bool
 
-MIN_PART: Final = (64, 64)
-"""Rows and columns of the smallest part that is read on its own."""
-MAX_LOST: Final = 0.5
-"""Largest share of a raster that may be unreadable; beyond it the file cannot be used."""
-MAX_PARTS: Final = 2000
-"""Largest number of unreadable parts, beyond which the file cannot be used."""
+
+@dataclass(frozen=True, slots=True)
+class ReadingParameters:
+    """How a raster is read of which parts may be unreadable."""
+
+    min_part: tuple[int, int] = (64, 64)
+    """Rows and columns of the smallest part that is read on its own."""
+    max_lost: float = 0.5
+    """Largest share of a raster that may be unreadable; beyond it the file cannot be used."""
+    max_parts: int = 2000
+    """Largest number of unreadable parts, beyond which the file cannot be used."""
+    stride_px: int = 8
+    """Distance of the pixels by which readable ones with data are counted."""
+    max_threads: int = 4
+    """Largest number of reading threads; more would wait for the thread that writes."""
+
+
+READING: Final = ReadingParameters()
+"""Those in use."""
 REMOTE: Final = (
     *(f"/vsi{kind}" for kind in ("curl", "s3", "gs", "az", "adls", "oss", "swift")),
     *("http:", "https:"),
 )
 """Prefixes of remote files, whose failures may be temporary and are therefore errors, not gaps."""
-_STRIDE: Final = 8
 
 Block = NDArray[np.generic]
 ReadBlock = Callable[[Window], Block]
@@ -78,7 +83,7 @@ class UnreadableParts:
         )
 
     def read(
-        self, read: ReadBlock, window: Window, nothing: ReadBlock, least: tuple[int, int] = MIN_PART
+        self, read: ReadBlock, window: Window, nothing: ReadBlock, least: tuple[int, int] = READING.min_part
     ) -> Block:
         """Read a block; unreadable parts of it are filled by `nothing`.
 
@@ -106,22 +111,22 @@ class UnreadableParts:
         return np.concatenate(parts, 1 if rows >= cols else 2)
 
     def _count_read(self, block: Block, nothing: Block) -> None:
-        sampled = block[:, ::_STRIDE, ::_STRIDE]
+        sampled = block[:, :: READING.stride_px, :: READING.stride_px]
         same = _empty(sampled, nothing)
         with self._lock:
-            self.read_px2 += int((~same.all(axis=0)).sum()) * _STRIDE**2
+            self.read_px2 += int((~same.all(axis=0)).sum()) * READING.stride_px**2
 
     def _fail(self, reason: str) -> None:
         with self._lock:
             self._reason = self._reason or reason
             self._parts += 1
-        if self._parts > MAX_PARTS or self.name.startswith(REMOTE):
+        if self._parts > READING.max_parts or self.name.startswith(REMOTE):
             raise self._error()
 
     def _lose(self, window: Window) -> None:
         with self._lock:
             self.lost_px2 += int(window.width * window.height)
-        if self.lost_px2 > MAX_LOST * self.area_px2:
+        if self.lost_px2 > READING.max_lost * self.area_px2:
             raise self._error()
 
     def _error(self) -> InputError:
@@ -143,99 +148,6 @@ def filled(values: list[float], dtype: np.dtype[Any]) -> ReadBlock:
     return nothing
 
 
-_ELEMENTS: Final = ("Metadata", "Description", "UnitType", "Offset", "Scale", "ColorInterp", "ColorTable")
-"""Elements of a band beside its pixels, in the order of the VRT's schema."""
-
-
-def write_warped_vrt(
-    path: Path, source: DatasetReader, options: Mapping[str, object], *, final_path: Path
-) -> None:
-    """Write a VRT that warps a raster by its geotransform.
-
-    It is written to `path` now; the path in it to the original is relative to the folder of `final_path`. The
-    `options` are those of `rasterio.vrt.WarpedVRT`, with the corrected geotransform.
-    """
-    with WarpedVRT(source, **options) as view:
-        rasterio.shutil.copy(view, os.fspath(path), driver="VRT")
-    tree = ET.parse(path).getroot()
-    pixels = vrt.reference_to(source, final_path)
-    for element in tree.iter("SourceDataset"):
-        element.text = pixels.name
-        element.set("relativeToVRT", "1" if pixels.relative else "0")
-    described = vrt.describe_pixels(source, pixels, source.shape)
-    for number, tags in enumerate(described.findall("Metadata")):
-        tree.insert(number, tags)
-    bands = zip(tree.findall("VRTRasterBand"), described.findall("VRTRasterBand"), strict=False)
-    for band, original in bands:  # an additional alpha band is left unchanged
-        for old in [element for element in band if element.tag in _ELEMENTS]:
-            band.remove(old)
-        for number, element in enumerate(e for e in original if e.tag in _ELEMENTS):
-            band.insert(number, element)
-    vrt.write(tree, path)
-
-
-_NOWHERE = -1e30
-
-
-def write_dense_view(
-    source: DatasetReader, folder: Path, mapping: DenseMapping, options: Mapping[str, object]
-) -> Path:
-    """Write a VRT that resamples a raster by a mapping, and return its path.
-
-    The mapping goes from the pixels (col, row) of the VRT to those of the raster; its nodes are written into
-    `folder` too. The `options` are those of `rasterio.vrt.WarpedVRT`, except those of the mapping.
-    """
-    nodes = _write_nodes(folder / "nodes.tif", mapping)
-    path = folder / "view.vrt"
-    with WarpedVRT(source, **options) as view:
-        rasterio.shutil.copy(view, os.fspath(path), driver="VRT")
-    tree = ET.parse(path)
-    for base in tree.iter("BaseTransformer"):
-        base.clear()
-        base.append(_transformer(mapping, nodes))
-    tree.write(path, encoding="utf-8")
-    return path
-
-
-def _write_nodes(path: Path, mapping: DenseMapping) -> Path:
-    rows, cols = mapping.lattice.shape
-    profile = {"driver": "GTiff", "height": rows, "width": cols, "count": 2, "dtype": "float64"}
-    # Any but unit pixels, about which rasterio warns.
-    place = rasterio.Affine.scale(2.0, -2.0)
-    with rasterio.open(path, "w", **profile, nodata=_NOWHERE, transform=place) as file:
-        file.write(np.nan_to_num(np.moveaxis(mapping.moved_px, 2, 0), nan=_NOWHERE))
-    return path
-
-
-def _transformer(mapping: DenseMapping, nodes: Path) -> ET.Element:
-    """Return GDAL's description of the mapping from the VRT's pixels to the raster's."""
-    element = ET.Element("GenImgProjTransformer")
-    for name in ("SrcGeoTransform", "SrcInvGeoTransform"):
-        ET.SubElement(element, name).text = "0,1,0,0,0,1"
-    array = ET.SubElement(ET.SubElement(element, "DstGeoLocTransformer"), "GeoLocTransformer")
-    ET.SubElement(array, "Reversed").text = "0"
-    (col, row), (col_step, row_step) = mapping.lattice.origin_px, mapping.lattice.step_px
-    place = {
-        "X_DATASET": str(nodes.resolve()),
-        "X_BAND": 1,
-        "Y_DATASET": str(nodes.resolve()),
-        "Y_BAND": 2,
-        "PIXEL_OFFSET": col,
-        "PIXEL_STEP": col_step,
-        "LINE_OFFSET": row,
-        "LINE_STEP": row_step,
-        "GEOREFERENCING_CONVENTION": "TOP_LEFT_CORNER",
-    }
-    metadata = ET.SubElement(array, "Metadata")
-    for key, value in place.items():
-        ET.SubElement(metadata, "MDI", key=key).text = str(value)
-    return element
-
-
-MAX_THREADS: Final = 4
-"""Largest number of reading threads; more would wait for the thread that writes."""
-
-
 def warped_blocks(
     unreadable: UnreadableParts,
     views: Sequence[Callable[[], AbstractContextManager[DatasetReader]]],
@@ -249,7 +161,7 @@ def warped_blocks(
     cannot be opened, or too much of it cannot be read.
     """
     rows = [list(row) for _, row in groupby(windows, key=lambda window: window.row_off)]
-    count = min(os.cpu_count() or 1, MAX_THREADS, len(rows))
+    count = min(os.cpu_count() or 1, READING.max_threads, len(rows))
     blocks: queue.Queue[tuple[Window, Block] | BaseException] = queue.Queue(maxsize=count)
     stop = threading.Event()
 

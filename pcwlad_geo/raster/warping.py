@@ -4,36 +4,29 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
-import tempfile
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import rasterio
 from affine import Affine
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
-from rasterio.errors import NotGeoreferencedWarning
-from rasterio.io import DatasetReader, DatasetWriter
+from rasterio.io import DatasetReader
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
 from pcwlad_geo.correction.dense import dense_mapping
 from pcwlad_geo.correction.models import AffineCorrection, Correction
-from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import vrt
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.raster.gdal import (
-    GDAL_ERRORS,
-    ignoring,
-    question,
     raising_gdal_reports,
-    root_cause,
     small_block_cache,
 )
 from pcwlad_geo.raster.grid import Grid, jacobian, map_px
@@ -43,14 +36,35 @@ from pcwlad_geo.raster.output_format import OutputFormat, write_described
 from pcwlad_geo.raster.output_grid import mapped_parts, original_pixels
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.vrt import has_alpha, has_mask_band, is_paletted, usable_nodata
-from pcwlad_geo.raster.warped_views import (
-    Block,
-    UnreadableParts,
-    warped_blocks,
-    write_dense_view,
-    write_warped_vrt,
-)
+from pcwlad_geo.raster.warped_views import Block, UnreadableParts, warped_blocks
+from pcwlad_geo.raster.warped_vrt import write_dense_view, write_warped_vrt
+from pcwlad_geo.raster.writing import scratch_folder, sink
 from pcwlad_geo.types import Bool, Float64
+
+
+@dataclass(frozen=True, slots=True)
+class WarpParameters:
+    """How GDAL warps."""
+
+    tolerance_px: float = 0.001
+    """Error to which GDAL interpolates the transformation along scan lines. Each block does so anew: blocks
+    fit to twice as much. Its default is 0.125 px; this costs no more."""
+    coarser: float = 0.95
+    """Kernels are widened where an output pixel is larger than the source's divided by this."""
+    block_px: int = 1024
+    """Largest side of a block."""
+    block_bytes: int = 2**24
+    """Largest size of a block with all its bands, unless it has 256 px a side."""
+    dense_tolerance_px: float = 0.01
+    """Error of corrections that are evaluated on a lattice."""
+
+
+WARPING: Final = WarpParameters()
+"""Those in use."""
+COG: Final = OutputFormat()
+"""The default format, a cloud-optimised GeoTIFF."""
+_PIXELS: Final = Affine.scale(1.0, -1.0)
+"""Pixels as map units, for mappings between pixels; rasterio takes unit pixels without a flip for none."""
 
 
 def validity(source: DatasetReader) -> tuple[float | None, bool, bool]:
@@ -79,19 +93,6 @@ def fill(values: NDArray[Any], valid: Bool, nodata: float) -> None:
 
 
 ProgressCallback = Callable[[int, int], None]
-COG = OutputFormat()
-"""The default format, a cloud-optimised GeoTIFF."""
-# GDAL interpolates the transformation along scan lines to this error, and each block does so anew: blocks fit
-# to twice as much. Its default is 0.125 px; this costs no more.
-_TOLERANCE_PX = 0.001
-# Kernels are widened where an output pixel is larger than the source's by more than this.
-_COARSER = 0.95
-_BLOCK_PX = 1024
-_BLOCK_BYTES = 2**24
-# The tolerance of corrections that are evaluated on a lattice.
-_DENSE_TOLERANCE_PX = 0.01
-# Pixels as map units, for mappings between pixels; rasterio takes unit pixels without a flip for none.
-_PIXELS = Affine.scale(1.0, -1.0)
 # A view of the warped raster that a thread opens for itself.
 OpenView = Callable[[], AbstractContextManager[DatasetReader]]
 Blocks = Generator[tuple[Window, Block], None, None]
@@ -278,7 +279,7 @@ def _dense_view(
     step = np.stack([mapped[0] - mapped[1], mapped[2] - mapped[3]], axis=1)
     own_px, out_px = (Grid(grid.shape, _PIXELS, None) for grid in (source_grid, out))
     options = _warp_options(source, own_px, out_px, method, step) | request.options()
-    dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=_DENSE_TOLERANCE_PX)
+    dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=WARPING.dense_tolerance_px)
     folder = request.scratch / f"{turns:g}"
     folder.mkdir()
     return os.fspath(write_dense_view(source, folder, dense, options))
@@ -349,36 +350,6 @@ def _corrected_grid(source_grid: Grid, target: Grid, correction: AffineCorrectio
     )
 
 
-@contextmanager
-def scratch_folder(out_path: Path) -> Iterator[Path]:
-    """Make a folder beside `out_path` for its parts, gone at the end; GDAL's errors become `OutputError`."""
-    try:
-        folder = Path(tempfile.mkdtemp(prefix=".warping-", dir=out_path.parent))
-    except OSError as error:
-        raise OutputError(f"cannot write in {out_path.parent}: {error.strerror}") from error
-    try:
-        yield folder
-    except (*GDAL_ERRORS, OSError) as error:
-        reason = root_cause(error)
-        raise OutputError(f"cannot write {out_path}: {reason}; {question(reason)}") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
-def sink(path: Path, profile: Mapping[str, Any]) -> Iterator[DatasetWriter]:
-    """Open a raster to write to, and raise where its last blocks cannot be written as it is closed."""
-    with ignoring(NotGeoreferencedWarning):  # for pixels alone, and the pixel plane
-        file = rasterio.open(path, "w", **profile)
-    try:
-        yield file
-    except BaseException:
-        file.close()
-        raise
-    with raising_gdal_reports():
-        file.close()
-
-
 def _write_pixels(
     source: DatasetReader,
     path: Path,
@@ -421,7 +392,7 @@ def _warp_options(
     """Return the options of GDAL's warper; `step` is the (2, 2) source px per output px."""
     source_place = {"src_transform": source_grid.transform, "src_crs": source_grid.crs}
     place = {"crs": grid.crs, "transform": grid.transform, "height": grid.shape[0], "width": grid.shape[1]}
-    how = {"tolerance": _TOLERANCE_PX, "dtype": np.result_type(*source.dtypes).name}
+    how = {"tolerance": WARPING.tolerance_px, "dtype": np.result_type(*source.dtypes).name}
     return source_place | place | how | kernel(method, step)
 
 
@@ -434,7 +405,7 @@ def kernel(method: Resampling, step: Float64) -> dict[str, object]:
     unknown.
     """
     x, y = (1.0 / np.fmax(1.0, np.hypot(*row)) for row in step)
-    x, y = (scale if scale < _COARSER else 1.0 for scale in (x, y))
+    x, y = (scale if scale < WARPING.coarser else 1.0 for scale in (x, y))
     coarser = method == Resampling.lanczos and min(x, y) < 1
     return {"resampling": Resampling.cubic if coarser else method, "XSCALE": x, "YSCALE": y}
 
@@ -442,8 +413,8 @@ def kernel(method: Resampling, step: Float64) -> dict[str, object]:
 def _blocks(shape: tuple[int, int], bytes_per_px: int) -> Iterator[Window]:
     """Yield windows that cover the raster, row by row, smaller ones where there are many bands."""
     rows, cols = shape
-    side = _BLOCK_PX
-    while side > 256 and side * side * bytes_per_px > _BLOCK_BYTES:
+    side = WARPING.block_px
+    while side > 256 and side * side * bytes_per_px > WARPING.block_bytes:
         side //= 2
     for row in range(0, rows, side):
         for col in range(0, cols, side):

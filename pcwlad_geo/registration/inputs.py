@@ -26,7 +26,7 @@ from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.output_format import OutputFormat, check_format
 from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_lattice
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.registration.rpc import place_reference, place_target
 from pcwlad_geo.tiepoints.readers import FORMATS

@@ -446,14 +446,11 @@ def target_offset_px(pair: ViewPair, prealignment: Prealignment) -> tuple[int, i
 
 def _noise(view: View) -> Noise:
     """Return the typical noise of samples spread over the view at full resolution."""
-    rows, cols = view.grid.shape
-    side_r, side_c = min(rows, SAMPLE_PX), min(cols, SAMPLE_PX)
     found: list[tuple[Float32 | Float64, Bool]] = []
-    for row in np.unique(np.linspace(0, rows - side_r, SAMPLES_ACROSS).astype(int)):
-        for col in np.unique(np.linspace(0, cols - side_c, SAMPLES_ACROSS).astype(int)):
-            with suppress(InputError):  # the tile that holds it reports what cannot be read
-                patch = view.read(Window(int(row), int(col), side_r, side_c))
-                found.append((patch.values, patch.valid))
+    for window in Window.spread(view.grid.shape, SAMPLE_PX, SAMPLES_ACROSS):
+        with suppress(InputError):  # the tile that holds it reports what cannot be read
+            patch = view.read(window)
+            found.append((patch.values, patch.valid))
     averages = file_px_per_px(view).min() > LARGEST_OWN_PX
     rounding = 0.0 if averages else rounding_of(view.info.dtype, compressed=view.info.shows_blocks)
     # pictures of 8 bits have tones of their own, also where they are averaged, and so have sums of bands

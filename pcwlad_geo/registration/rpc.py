@@ -27,7 +27,7 @@ from pcwlad_geo.raster.rpc.dem import Dem, Vertical
 from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
 from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.raster.rpc.ortho import RpcPlacement, place_by_rpc
+from pcwlad_geo.raster.rpc.placement import RpcPlacement, place_by_rpc
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64

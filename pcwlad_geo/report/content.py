@@ -34,7 +34,7 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.registration import (
     Grade,

@@ -23,7 +23,7 @@ from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import GridRequest
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.registration import (
     CorrectedRpc,

@@ -18,7 +18,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Undulation
 from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
-from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.registration.rpc import height_errors
 from tests.multi.rpc_views import grids_of_views, view_rpc
 from tests.rpc_scene import (

@@ -19,7 +19,7 @@ from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.rpc.dem import Dem
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from tests.multi.rpc_views import grids_of_views
 from tests.rpc_scene import SHAPE
 

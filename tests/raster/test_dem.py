@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -63,7 +64,7 @@ def test_a_large_dem_is_read_in_parts(tmp_path: Path, monkeypatch: pytest.Monkey
     dem = open_dem(write_dem(tmp_path / "dem.tif"), 0.0, BOUNDS)
     at = lon_lat_of(dem, np.random.default_rng(1).uniform(0, 200, (400, 2)))
     whole = dem.at(at)
-    monkeypatch.setattr(module, "MAX_PX_AT_ONCE", 500)
+    monkeypatch.setattr(module, "DEMS", replace(module.DEMS, max_px_at_once=500))
     np.testing.assert_array_equal(dem.at(at), whole)
 
 

@@ -15,12 +15,13 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, map_px
-from pcwlad_geo.raster.matching_grid import MARGIN_PX, ViewPair, plan_views
+from pcwlad_geo.raster.matching_grid import MATCHING_GRIDS, ViewPair, plan_views
 from pcwlad_geo.raster.source import RasterInfo, describe
 
 UTM33, UTM34, WGS84 = CRS.from_epsg(32633), CRS.from_epsg(32634), CRS.from_epsg(4326)
 ENGINEERING = CRS.from_wkt('LOCAL_CS["mine",UNIT["metre",1]]')
 X, Y = 500_000.0, 5_000_000.0
+MARGIN_PX = MATCHING_GRIDS.margin_px
 
 
 def info(

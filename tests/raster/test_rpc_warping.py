@@ -1,4 +1,5 @@
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,7 @@ def test_blocks_leave_no_seams(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     image = write_image(tmp_path / "image.tif", values, make_rpc())
     out = make_grid((320, 340), offset_m=(-300, -300))
     orthorectify(image, tmp_path / "one.tif", grid, out)
-    monkeypatch.setattr(warping, "_BLOCK_PX", 96)
+    monkeypatch.setattr(warping, "WARPING", replace(warping.WARPING, block_px=96))
     done: list[tuple[int, int]] = []
     orthorectify(image, tmp_path / "many.tif", grid, out, progress=lambda *count: done.append(count))
     assert len(done) == done[-1][0] == done[-1][1] == 16

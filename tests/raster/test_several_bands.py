@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.multi.stack_inputs import StackInput, listed
 from pcwlad_geo.options import Settings, to_setting
+from pcwlad_geo.raster import band_reading
 from pcwlad_geo.raster import view as view_module
 from pcwlad_geo.raster.bands import BandPart, Bands
+from pcwlad_geo.raster.combined_bands import with_bands
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.view import View, with_bands
+from pcwlad_geo.raster.view import View
 from tests.product_files import SHIFT_M, write_landsat
 from tests.scenes import make_grid, render, write
 
@@ -123,7 +126,8 @@ def test_windows_and_parts_agree_to_the_bit(
             assert np.array_equal(part.values, whole.values[here])
             assert np.array_equal(part.valid, whole.valid[here])
         with monkeypatch.context() as patched:
-            patched.setattr(view_module, "_MAX_VALUES", 10_000)  # eleven rows of the file at a time
+            few = partial(band_reading.read_layers, max_values=10_000)  # eleven rows of the file at a time
+            patched.setattr(band_reading, "read_layers", few)
             assert np.array_equal(view.read(Window.whole(view.grid.shape)).values, whole.values)
 
 

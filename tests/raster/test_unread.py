@@ -11,8 +11,9 @@ from rasterio.errors import RasterioIOError
 from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.warped_views import MIN_PART, Block, UnreadableParts, filled
+from pcwlad_geo.raster.warped_views import READING, Block, UnreadableParts, filled
 
+MIN_PART = READING.min_part
 SIDE = 700
 BAD = (310, 295)
 """Row, column of a pixel that cannot be read."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -405,7 +406,8 @@ def test_a_window_shows_what_the_whole_shows(
     here = Window(11, 17, 21, 13).slices_in(Window(-5, -5, 70, 70))
     np.testing.assert_array_equal(part.valid, whole.valid[here])
     np.testing.assert_allclose(part.values, whole.values[here], atol=1e-5)
-    monkeypatch.setattr(view_module, "_MAX_PX_AT_ONCE", 8000)  # in parts, as a large scene
+    few = replace(view_module.VIEWS, max_px_at_once=8000)  # in parts, as a large scene
+    monkeypatch.setattr(view_module, "VIEWS", few)
     in_parts = view.read(Window(-5, -5, 70, 70))
     np.testing.assert_array_equal(in_parts.valid, whole.valid)
     np.testing.assert_allclose(in_parts.values, whole.values, atol=1e-5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from rasterio.windows import Window
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.warped_views import UnreadableParts, warped_blocks
+from pcwlad_geo.raster.warped_views import READING, UnreadableParts, warped_blocks
 
 SHAPE = (130, 170)
 WINDOWS = [
@@ -62,7 +63,7 @@ def test_every_window_comes_once_with_its_pixels(raster: str, image: np.ndarray)
 def test_no_more_blocks_are_read_ahead_than_there_are_threads(
     raster: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcwlad_geo.raster.warped_views.MAX_THREADS", 2)
+    monkeypatch.setattr("pcwlad_geo.raster.warped_views.READING", replace(READING, max_threads=2))
     monkeypatch.setattr("os.cpu_count", lambda: 8)
     before = threads()
     blocks = warped_blocks(unreadable(raster), [partial(open_raster, raster)], WINDOWS)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from pcwlad_geo.raster.gdal import raising_gdal_reports
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.output_grid import GridRequest, output_grid
 from pcwlad_geo.raster.vrt import compose
-from pcwlad_geo.raster.warping import warp
+from pcwlad_geo.raster.warping import WARPING, warp
 
 UTM33, UTM32 = CRS.from_epsg(32633), CRS.from_epsg(32632)
 ORIGIN = Affine(30.0, 0.0, 500_010.0, 0.0, -30.0, 4_900_020.0)
@@ -217,7 +218,7 @@ def warped_in_blocks(
     """The raster warped in one block, and in blocks of 100 px."""
     images = []
     for block in (1024, 100):
-        monkeypatch.setattr("pcwlad_geo.raster.warping._BLOCK_PX", block)
+        monkeypatch.setattr("pcwlad_geo.raster.warping.WARPING", replace(WARPING, block_px=block))
         warp(source, source.with_name(f"{block}.tif"), correction, grid)
         with rasterio.open(source.with_name(f"{block}.tif")) as out:
             images.append(out.read())
@@ -253,7 +254,7 @@ def test_memory_does_not_grow_with_the_raster(tmp_path: Path, correction: str) -
         from pathlib import Path
         from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection
         from pcwlad_geo.raster.source import describe
-        from pcwlad_geo.raster.warping import warp
+        from pcwlad_geo.raster.warping import WARPING, warp
         def peak_mb():
             return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
         before = peak_mb()
@@ -564,7 +565,7 @@ def test_a_full_disk_is_an_output_error(tmp_path: Path, limit: int) -> None:
         from pcwlad_geo.correction.models import AffineCorrection
         from pcwlad_geo.errors import OutputError
         from pcwlad_geo.raster.grid import Grid
-        from pcwlad_geo.raster.warping import warp
+        from pcwlad_geo.raster.warping import WARPING, warp
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
         grid = Grid((800, 900), Affine{tuple(ORIGIN)[:6]}, CRS.from_epsg(32633))

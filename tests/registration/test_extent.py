@@ -11,7 +11,7 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import view as views
 from pcwlad_geo.raster.grid import Grid, Window
-from pcwlad_geo.raster.matching_grid import EXTENT_MARGIN_PX
+from pcwlad_geo.raster.matching_grid import MATCHING_GRIDS
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.registration.run import register_pair
@@ -39,16 +39,16 @@ def test_only_the_extent_is_read_and_its_points_are_right(
     pair = write_pair(tmp_path, LARGE, LARGE)
     wanted = Window(600, 650, 200, 220)
     read: list[tuple[str, Window]] = []
-    original = views._read_file
+    original = views.read_window
 
     def spy(info: RasterInfo, window: Window, overview: int | None) -> object:
         read.append((Path(info.uri).name, window.clipped(info.grid.shape)))
         return original(info, window, overview)
 
-    monkeypatch.setattr(views, "_read_file", spy)
+    monkeypatch.setattr(views, "read_window", spy)
     found = pair.run(extent=extent_of(LARGE, wanted))
     check(found)
-    margins = {"ref.tif": HALO_PX, "tgt.tif": EXTENT_MARGIN_PX + HALO_PX}
+    margins = {"ref.tif": HALO_PX, "tgt.tif": MATCHING_GRIDS.extent_margin_px + HALO_PX}
     assert {name for name, _ in read} == set(margins)
     for name, window in read:
         around = wanted.padded(margins[name])

@@ -12,7 +12,8 @@ from pcwlad_geo.raster.rpc.dem import Dem, Undulation
 from pcwlad_geo.raster.rpc.files import read_rpc
 from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.raster.rpc.ortho import RpcPlacement, ortho_grid, place_by_rpc
+from pcwlad_geo.raster.rpc.ortho import ortho_grid
+from pcwlad_geo.raster.rpc.placement import RpcPlacement, place_by_rpc
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.rpc import place_target
 from pcwlad_geo.registration.run import register_pair

@@ -14,7 +14,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import output_grids_of
 from pcwlad_geo.raster.crs import WGS84, transform_xy, utm_zone_of
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.inputs import check_output
 from pcwlad_geo.registration.rpc import place_reference

@@ -17,7 +17,7 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
-from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
+from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.view import View

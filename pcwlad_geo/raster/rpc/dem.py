@@ -26,12 +26,37 @@ from pcwlad_geo.raster.pixels import valid_in_file
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.types import Float64
 
-MAX_PX_AT_ONCE: Final = 1 << 22
-"""Largest number of pixels of a DEM that is read at a time."""
-MAX_PX_HELD: Final = 1 << 24
-"""Largest number of pixels of a DEM that are held in memory."""
-ROUNDING_PX: Final = 1e-6
-"""Tolerance of the rounding errors of map coordinates."""
+Bounds = tuple[float, float, float, float]
+Vertical = float | str | os.PathLike[str] | None
+
+
+@dataclass(frozen=True, slots=True)
+class DemParameters:
+    """How a DEM is read."""
+
+    max_px_at_once: int = 1 << 22
+    """Largest number of pixels that are read at a time."""
+    max_px_held: int = 1 << 24
+    """Largest number of pixels that are held in memory."""
+    rounding_px: float = 1e-6
+    """Tolerance of the rounding errors of map coordinates."""
+    undulation_step_deg: float = 0.02
+    """Spacing of the nodes of an undulation; geoid grids have 0.016 to 0.25 degrees."""
+    undulation_nodes: int = 65
+    """Most nodes of an undulation a side."""
+    max_undulation_m: float = 150.0
+    """Largest distance of a geoid from the ellipsoid."""
+
+
+DEMS: Final = DemParameters()
+"""Those in use."""
+ELLIPSOIDAL: Final = pyproj.CRS.from_epsg(4979)
+"""CRS of longitude, latitude and height above the WGS 84 ellipsoid."""
+_UNITS_M: Final = {
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
+    **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us foot", "foot_us"), 1200 / 3937),
+}
+"""Units of heights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +95,7 @@ class Undulation:
         return Undulation(0.0, 0.0, (1.0, 1.0), (1, 1), (float(value_m),))
 
     @staticmethod
-    def sampled(
-        function: Callable[[Float64], Float64], bounds: tuple[float, float, float, float], step_deg: float
-    ) -> Undulation:
+    def sampled(function: Callable[[Float64], Float64], bounds: Bounds, step_deg: float) -> Undulation:
         """Sample a function on a lattice over `bounds`, degrees: west, south, east, north.
 
         The spacing of the nodes is at most `step_deg`, and there are at most 65 a side. The function returns
@@ -80,7 +103,7 @@ class Undulation:
         """
         west, south, east, north = bounds
         counts = [int(np.ceil((north - south) / step_deg)) + 1, int(np.ceil((east - west) / step_deg)) + 1]
-        rows, cols = np.clip(counts, 2, 65).tolist()
+        rows, cols = np.clip(counts, 2, DEMS.undulation_nodes).tolist()
         nodes = positions(np.linspace(west, east, cols), np.linspace(south, north, rows))
         values: list[float] = function(nodes).tolist()
         step = ((east - west) / (cols - 1), (north - south) / (rows - 1))
@@ -145,7 +168,7 @@ class Dem:
         if not len(at_px):
             return self
         window = Window.around(at_px.min(axis=0), at_px.max(axis=0)).padded(64).clipped(self.grid.shape)
-        if window.empty or window.area_px2 > MAX_PX_HELD:
+        if window.empty or window.area_px2 > DEMS.max_px_held:
             return self
         return HeldDem(self.uri, self.grid, self.metres_per_unit, self.undulation, window, self._read(window))
 
@@ -158,7 +181,7 @@ class Dem:
 
     def missing_in(self, window: Window, outline_px: shapely.Geometry) -> int:
         """Count the pixels without height in `window` whose centres are within `outline_px` (col, row)."""
-        if window.area_px2 > MAX_PX_AT_ONCE and max(window.shape) > 1:
+        if window.area_px2 > DEMS.max_px_at_once and max(window.shape) > 1:
             return sum(self.missing_in(half, outline_px) for half in window.halves())
         row, col = np.nonzero(np.isnan(self._read(window)))
         return int(shapely.contains_xy(outline_px, col + window.col + 0.5, row + window.row + 0.5).sum())
@@ -168,7 +191,9 @@ class Dem:
         heights = np.full(len(dem_px), np.nan)
         size = np.array(self.grid.shape[::-1])
         with np.errstate(invalid="ignore"):
-            inside = np.flatnonzero(((dem_px >= -ROUNDING_PX) & (dem_px <= size + ROUNDING_PX)).all(axis=1))
+            inside = np.flatnonzero(
+                ((dem_px >= -DEMS.rounding_px) & (dem_px <= size + DEMS.rounding_px)).all(axis=1)
+            )
         if len(inside) == 0:
             return heights
         # the outer half of the outermost pixels has the height of their centres
@@ -176,7 +201,7 @@ class Dem:
         first = np.floor(index.min(axis=0)).astype(int)
         last = np.minimum(np.floor(index.max(axis=0)).astype(int) + 2, size)
         window = Window.from_bounds(int(first[1]), int(first[0]), int(last[1]), int(last[0]))
-        if window.area_px2 > MAX_PX_AT_ONCE and max(window.shape) > 2:
+        if window.area_px2 > DEMS.max_px_at_once and max(window.shape) > 2:
             axis = 0 if window.cols >= window.rows else 1
             in_first = index[:, axis] < first[axis] + max(window.shape) // 2
             for half in (inside[in_first], inside[~in_first]):
@@ -223,19 +248,6 @@ def _bilinear(values: Float64, index_xy: Float64) -> Float64:
             neighbour = values[np.minimum(row + down, rows - 1), np.minimum(col + right, cols - 1)]
             result += np.where(weight > 0, weight * neighbour, 0.0)
     return result
-
-
-Bounds = tuple[float, float, float, float]
-Vertical = float | str | os.PathLike[str] | None
-
-STEP_DEG: Final = 0.02
-"""Spacing of the nodes of an undulation; geoid grids have 0.016 to 0.25 degrees."""
-ELLIPSOIDAL: Final = pyproj.CRS.from_epsg(4979)
-"""CRS of longitude, latitude and height above the WGS 84 ellipsoid."""
-_UNITS_M: Final = {
-    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
-    **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us foot", "foot_us"), 1200 / 3937),
-}
 
 
 def open_dem(path: str | os.PathLike[str], vertical: Vertical, bounds: Bounds) -> Dem:
@@ -292,13 +304,13 @@ def _from_grid(path: str, bounds: Bounds) -> Undulation:
     if not info.georeferenced:
         raise InputError(f"the geoid grid {path} has no georeferencing (CRS and geotransform): assign it")
     geoid = Dem(info.uri, info.grid, 1.0, Undulation.constant(0.0))
-    undulation = Undulation.sampled(geoid.at, bounds, STEP_DEG)
+    undulation = Undulation.sampled(geoid.at, bounds, DEMS.undulation_step_deg)
     if not np.isfinite(undulation.values_m).all():
         raise InputError(
             f"the geoid grid {path} does not cover the target ({in_words(bounds)}): give one that does, or "
             "the undulation in metres"
         )
-    if np.abs(undulation.values_m).max() > 150.0:
+    if np.abs(undulation.values_m).max() > DEMS.max_undulation_m:
         raise InputError(
             f"the geoid grid {path} holds {np.abs(undulation.values_m).max():.0f} m: no geoid is as far from "
             "the ellipsoid; give a file of undulations, not of heights"
@@ -329,7 +341,7 @@ def _from_crs(info: RasterInfo, crs: pyproj.CRS, bounds: Bounds) -> Undulation:
     def at(lon_lat: Float64) -> Float64:
         return with_arrays(transformer.transform, lon_lat[:, 0], lon_lat[:, 1], np.zeros(len(lon_lat)))[2]
 
-    undulation = Undulation.sampled(at, bounds, STEP_DEG)
+    undulation = Undulation.sampled(at, bounds, DEMS.undulation_step_deg)
     if not np.isfinite(undulation.values_m).all():
         raise InputError(f"{what} at {in_words(bounds)}; {advice}")
     return undulation
