@@ -7,4 +7,4 @@ A package that adds a kind of products makes a `ProductKind`, whose `find` retur
 from pcwlad_geo.products.kind import ProductKind as ProductKind
 from pcwlad_geo.products.product import Product as Product
 from pcwlad_geo.products.product import ProductBand as ProductBand
-from pcwlad_geo.raster.file_tree import FileTree as FileTree
+from pcwlad_geo.raster import FileTree as FileTree

@@ -16,7 +16,8 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.plugins import Registry
 from pcwlad_geo.products.kind import ProductKind
 from pcwlad_geo.products.product import Product
-from pcwlad_geo.raster.file_tree import FileTree, file_name, is_archive, is_folder, plain_uri, tree_of
+from pcwlad_geo.raster import FileTree, file_name, is_folder
+from pcwlad_geo.raster.file_tree import is_archive, plain_uri, tree_of
 from pcwlad_geo.types import Float64, PathLike
 
 KINDS: Final = Registry(

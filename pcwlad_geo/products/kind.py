@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pcwlad_geo.products.product import Product
-from pcwlad_geo.raster.file_tree import FileTree
+from pcwlad_geo.raster import FileTree
 
 
 @dataclass(frozen=True, slots=True)

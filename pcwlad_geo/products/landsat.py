@@ -11,7 +11,8 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.kind import ProductKind
 from pcwlad_geo.products.names import BAND_OF
 from pcwlad_geo.products.product import Product, ProductBand
-from pcwlad_geo.raster.file_tree import FileTree, name_in
+from pcwlad_geo.raster import FileTree
+from pcwlad_geo.raster.file_tree import name_in
 
 LANDSAT_FILE: Final = re.compile(
     r"(?P<id>L[COTEM]0\d_(?P<level>L[12][A-Z]{2})_\d{6}_\d{8}_\d{8}_(?P<collection>\d\d)_(?:T1|T2|RT))"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster import open_raster
 
 _PIXEL_SIZE: Final = re.compile(r"_\d+m$")
 """End of the name of a band at one of several pixel sizes, such as B04_20m."""

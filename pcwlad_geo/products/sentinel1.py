@@ -9,7 +9,8 @@ from typing import Final
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.kind import ProductKind
 from pcwlad_geo.products.product import Product, ProductBand
-from pcwlad_geo.raster.file_tree import FileTree, name_in
+from pcwlad_geo.raster import FileTree
+from pcwlad_geo.raster.file_tree import name_in
 
 SENTINEL1_FILE: Final = re.compile(
     r"(?:.*/)?(?:s1[a-d]-\w\w\d?-(?P<kind>grd|slc)-(?P<band>[hv]{2})-[\w-]+|"

@@ -13,7 +13,8 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.kind import ProductKind
 from pcwlad_geo.products.names import BAND_OF
 from pcwlad_geo.products.product import Product, ProductBand
-from pcwlad_geo.raster.file_tree import FileTree, name_in
+from pcwlad_geo.raster import FileTree
+from pcwlad_geo.raster.file_tree import name_in
 
 SENTINEL2_BANDS: Final = (
     *("B01", "B02", "B03", "B04", "B05", "B06", "B07", "B08", "B8A"),

@@ -10,8 +10,8 @@ import numpy as np
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError, TrustError
-from pcwlad_geo.raster import vrt
-from pcwlad_geo.raster.opening import open_raster, open_written_raster
+from pcwlad_geo.raster import open_raster, vrt
+from pcwlad_geo.raster.opening import open_written_raster
 from pcwlad_geo.raster.trust.vrt_elements import gcps_only
 from pcwlad_geo.tiepoints.format import PointFile, PointRasters, PointSource, TiePointFormat
 from pcwlad_geo.tiepoints.table import TiePointTable

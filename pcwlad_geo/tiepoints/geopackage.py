@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.limits import POINTS, check_count
+from pcwlad_geo.raster import Grid
 from pcwlad_geo.raster.crs import moved_xy
-from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.vectors import SQLITE_HEAD, sqlite_file
 from pcwlad_geo.tiepoints.cells import Table
 from pcwlad_geo.tiepoints.csv_file import points_of

@@ -9,10 +9,8 @@ from typing import Final, Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.crs import name_of, transform_xy
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import RasterInfo, RpcGrid, ViewPair, transform_xy
+from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import (

@@ -9,8 +9,8 @@ import numpy as np
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster import Grid
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
-from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.text import write_lines
 from pcwlad_geo.tiepoints.cells import Table
 from pcwlad_geo.tiepoints.format import PointFile, PointRasters, PointSource, TiePointFormat

@@ -12,10 +12,8 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import TiePoints
-from pcwlad_geo.raster.grid import jacobian, map_px, metres_between
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import RasterInfo, ViewPair, at_mean_height, jacobian, map_px
+from pcwlad_geo.raster.grid import metres_between
 from pcwlad_geo.text import html_table
 from pcwlad_geo.types import Bool, Float64, Index
 

@@ -9,7 +9,7 @@ import pytest
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid
 from pcwlad_geo.tiepoints.envi import write_envi
 from pcwlad_geo.tiepoints.qgis_points import write_points
 from pcwlad_geo.tiepoints.table import TiePointTable

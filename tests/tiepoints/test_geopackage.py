@@ -17,8 +17,8 @@ from pyproj import Geod
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError, OutputError, TrustError
+from pcwlad_geo.raster import Trust, trusting
 from pcwlad_geo.raster.crs import displacement_m
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.tiepoints import geopackage
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable

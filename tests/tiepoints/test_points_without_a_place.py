@@ -13,7 +13,7 @@ import shapely
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid
 from pcwlad_geo.tiepoints import geopackage
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.envi import write_envi

@@ -17,9 +17,7 @@ from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import ViewPair, describe, plan_views, transform_xy
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.envi import write_envi
 from pcwlad_geo.tiepoints.gcps import write_gcps_vrt
