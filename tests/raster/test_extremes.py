@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 import pcwlad_geo as pg
 from pcwlad_geo.raster.bands import BandPart, Bands
+from pcwlad_geo.raster.combined_bands import with_bands
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.undeclared import without_extremes
-from pcwlad_geo.raster.view import View, with_bands
+from pcwlad_geo.raster.view import View
 from pcwlad_geo.report.views import read_backdrop
 from tests.scenes import make_grid, render
 
