@@ -31,9 +31,9 @@ from pcwlad_geo.raster.rpc import ortho as rpc_warping
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
 from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.raster.rpc.ortho import ground_grid
+from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.warping import scratch_folder, sink
+from pcwlad_geo.raster.writing import scratch_folder, sink
 from pcwlad_geo.registration import requested_grid
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.format import PointRasters, TiePointFormat

@@ -21,7 +21,7 @@ from pcwlad_geo.raster.matching_grid import (
     plan_views,
 )
 from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
-from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
+from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import AssessedFit, Fitted, fit_correction, footprint_px

@@ -10,6 +10,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.band_pixels import BandPixels
 from pcwlad_geo.raster.bands import Bands
 from pcwlad_geo.raster.cameras import expected_scale
+from pcwlad_geo.raster.combined_bands import with_bands
 from pcwlad_geo.raster.compression import with_compression_blocks
 from pcwlad_geo.raster.fill import without_shared_fill
 from pcwlad_geo.raster.identity import digest
@@ -20,10 +21,9 @@ from pcwlad_geo.raster.matching_grid import (
     plan_views,
     share_plane,
 )
-from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
+from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_areas
 from pcwlad_geo.raster.undeclared import without_undeclared
-from pcwlad_geo.raster.view import with_bands
 from pcwlad_geo.registration.inputs import identify_inputs, resolve
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.registration.rpc import (

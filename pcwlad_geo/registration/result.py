@@ -23,7 +23,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.rpc.ortho import RpcPlacement
+from pcwlad_geo.raster.rpc.placement import RpcPlacement
 from pcwlad_geo.raster.source import RasterInfo, bands_of
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.judge import Verdict

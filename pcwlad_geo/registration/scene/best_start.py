@@ -8,7 +8,7 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.rpc.ortho import plan_rpc_views
+from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.prealign import Overviews, StartingAlignment, by_georeferencing, read_overviews
