@@ -23,7 +23,7 @@ from pcwlad_geo.types import Bool
 
 
 def read_window(info: RasterInfo, window: Window, overview: int | None) -> tuple[NDArray[np.generic], Bool]:
-    """Read own pixels in the band's dtype, with their validity; pixels outside the raster are not valid.
+    """Read the (rows, cols) pixels of a window in the band's dtype, with their validity, False outside.
 
     Of several bands it is their weighted sum, float64, valid where each of them is. Indices of a colour table
     become the brightness of their colours.
@@ -72,9 +72,9 @@ def read_layers(
     inside: Window,
     max_values: int = 1 << 25,
 ) -> Iterator[tuple[Window, list[NDArray[np.generic]], list[Bool]]]:
-    """Yield the values and validities of bands of a file, by as many rows as fit into memory.
+    """Yield windows of a file with the (rows, cols) values and validities of its bands.
 
-    At most `max_values` of several bands are read at a time: 64 MB as 16 bits.
+    They have as many rows as fit into memory: at most `max_values` of several bands, 64 MB as 16 bits.
     """
     numbers = [part.band for part in parts]
     one_dtype = len({dataset.dtypes[number - 1] for number in numbers}) == 1
