@@ -43,7 +43,8 @@ from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from benchmarks.timing import cheapest
 from benchmarks.unrelated import PAIRINGS, REPOSITORY, Part, unrelated_chips, unrelated_parts
 from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.matching.pose import poses_by_grey_values, search_pose
+from pcwlad_geo.matching.pose.grey_search import poses_by_grey_values
+from pcwlad_geo.matching.pose.search import search_pose
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.registration import register_pair
@@ -670,7 +671,7 @@ def _unrelated_job(data: Path, number: int, folder: Path, *, chips: bool) -> tup
 def _searched(*images: Array) -> None:
     """Search as a job does that finds no start: by the structure, and by the grey values too."""
     search = search_pose(*images)
-    if search.found is None or not search.found.accepted:
+    if search.proposal is None or not search.proposal.accepted:
         list(poses_by_grey_values(search))
 
 

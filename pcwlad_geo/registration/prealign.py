@@ -20,7 +20,10 @@ from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching.grey_values import GREY, Tones
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.noise import Noise, noise_of_samples, of_whole_image, rounding_of
-from pcwlad_geo.matching.pose import SCALES, PoseProposal, poses_by_grey_values, search_pose
+from pcwlad_geo.matching.pose.grey_search import poses_by_grey_values
+from pcwlad_geo.matching.pose.parameters import POSE
+from pcwlad_geo.matching.pose.proposal import PoseProposal
+from pcwlad_geo.matching.pose.search import search_pose
 from pcwlad_geo.matching.prepare import Image, without_speckle
 from pcwlad_geo.matching.shift_search import SearchResult, search_shift
 from pcwlad_geo.matching.transforms import mapped
@@ -307,13 +310,13 @@ class PoseStarts:
             target.values,
             reference.valid,
             target.valid,
-            scales=(SCALES[0] * by_px, SCALES[1] * by_px),
+            scales=(POSE.structure.scales[0] * by_px, POSE.structure.scales[1] * by_px),
             stretched=not pair.georeferenced,  # a geotransform that errs is seldom stretched
         )
 
     def by_structure(self) -> StartingAlignment | None:
         """Return the start in which the structure agrees best; None if none is accepted."""
-        return self._start(self._search.found)
+        return self._start(self._search.proposal)
 
     def by_grey_values(self) -> Iterator[StartingAlignment]:
         """Yield those that grey values tell: their patches, then all of them together with the structure.

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching.pose import search_pose
+from pcwlad_geo.matching.pose.search import search_pose
 from pcwlad_geo.rigs.adjustment import RigState
 from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
 from pcwlad_geo.rigs.lens import Lens, lattice
@@ -113,7 +113,7 @@ def similarity_of(reference: Float32, target: Float32, scales: tuple[float, floa
     steps = reference.shape[1] / first.shape[1], target.shape[1] / second.shape[1]
     ratio = steps[0] / steps[1]
     valid = np.ones(first.shape, bool), np.ones(second.shape, bool)
-    pose = search_pose(first, second, *valid, scales=(scales[0] * ratio, scales[1] * ratio)).found
+    pose = search_pose(first, second, *valid, scales=(scales[0] * ratio, scales[1] * ratio)).proposal
     if pose is None or not (pose.accepted or pose.agreeing >= 12):
         return None
     linear = pose.matrix[:, :2] * steps[1] / steps[0]

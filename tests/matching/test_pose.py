@@ -10,9 +10,24 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.matching import pose
 from pcwlad_geo.matching.grey_values import GREY
-from pcwlad_geo.matching.pose import PoseProposal, mean_distance_px, poses_by_grey_values, search_pose
+from pcwlad_geo.matching.pose import search as pose_search
+from pcwlad_geo.matching.pose.ascent import Ascent
+from pcwlad_geo.matching.pose.climb import JointScore
+from pcwlad_geo.matching.pose.comparisons import GreyComparison
+from pcwlad_geo.matching.pose.consensus import Votes, similarity_if_as_good
+from pcwlad_geo.matching.pose.dependence import GreyDependence
+from pcwlad_geo.matching.pose.distances import mean_distance_px
+from pcwlad_geo.matching.pose.frame import Frame
+from pcwlad_geo.matching.pose.grey_search import poses_by_grey_values
+from pcwlad_geo.matching.pose.homographies import grown_homography, support_of
+from pcwlad_geo.matching.pose.image import PoseImage
+from pcwlad_geo.matching.pose.parameters import POSE
+from pcwlad_geo.matching.pose.patch_votes import VotingPatches
+from pcwlad_geo.matching.pose.proposal import PoseProposal
+from pcwlad_geo.matching.pose.resampling import warped
+from pcwlad_geo.matching.pose.search import search_pose
+from pcwlad_geo.matching.transforms import inverse_of_step, square
 from tests.matching.test_global_search import cover, modality
 
 SIDE_PX = 300
@@ -44,7 +59,7 @@ def gentle(image: np.ndarray, scale: float) -> np.ndarray:
 
 def search(target: np.ndarray, **options: Any) -> PoseProposal | None:
     valid = np.ones(REFERENCE.shape, bool), np.ones(target.shape, bool)
-    return search_pose(REFERENCE, target, *valid, **options).found
+    return search_pose(REFERENCE, target, *valid, **options).proposal
 
 
 @pytest.mark.parametrize(
@@ -86,7 +101,7 @@ def test_invalid_pixels_do_not_count() -> None:
     valid = np.ones(target.shape, bool)
     valid[:90] = False
     spoiled = np.where(valid, target, 1000.0 * (np.indices(target.shape).sum(axis=0) % 7 == 0))
-    found = search_pose(REFERENCE, spoiled, np.ones(REFERENCE.shape, bool), valid).found
+    found = search_pose(REFERENCE, spoiled, np.ones(REFERENCE.shape, bool), valid).proposal
     assert found is not None
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
 
@@ -114,16 +129,15 @@ def test_flat_images_have_no_pose() -> None:
 def test_a_pose_that_others_outscore_is_found_by_its_patches(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the score tells nothing, patches vote from several similarities, not from the best alone."""
     target, matrix = seen(-20.0, 1.0, (10.0, 4.0))
-    distinct = pose._distinct
+    distinct = pose_search._distinct
 
     def outscored(*arguments: Any) -> list[Any]:
         best, *others = distinct(*arguments)
         return [*others[:3], best, *others[3:]]
 
-    monkeypatch.setattr(pose, "_distinct", outscored)
-    monkeypatch.setattr(pose, "_stretched", lambda *_: [])
-    monkeypatch.setattr(pose, "EVIDENCE_PER_RATIO", 0.0)
-    found = search(target)
+    monkeypatch.setattr(pose_search, "_distinct", outscored)
+    monkeypatch.setattr(pose_search, "stretched_starts", lambda *_: [])
+    found = search(target, parameters=replace(POSE, evidence=replace(POSE.evidence, per_ratio=0.0)))
     assert found is not None
     assert found.accepted
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0
@@ -138,10 +152,9 @@ def tones(seed: int) -> np.ndarray:
     return rng.integers(0, 12, len(middles))[nearest].astype(float)
 
 
-def pose_images(reference: np.ndarray, target: np.ndarray) -> tuple[pose._PoseImage, pose._PoseImage]:
+def pose_images(reference: np.ndarray, target: np.ndarray) -> tuple[PoseImage, PoseImage]:
     first, second = (
-        pose._PoseImage(np.asarray(each, np.float32), np.ones(each.shape, bool))
-        for each in (reference, target)
+        PoseImage(np.asarray(each, np.float32), np.ones(each.shape, bool)) for each in (reference, target)
     )
     return first, second
 
@@ -151,13 +164,13 @@ def test_the_dependence_is_that_of_the_plain_equations() -> None:
     rng = np.random.default_rng(4)
     reference, valid = rng.normal(size=(40, 50)).astype(np.float32), rng.random((40, 50)) > 0.1
     target = (reference**2 + rng.normal(size=(40, 50))).astype(np.float32)
-    first, second = pose._PoseImage(reference, valid), pose._PoseImage(target, np.ones((40, 50), bool))
-    found = pose._GreyValues(first, second, 96).dependence(np.eye(3))
+    first, second = PoseImage(reference, valid), PoseImage(target, np.ones((40, 50), bool))
+    found = GreyDependence(first, second, 96, POSE)(np.eye(3))
 
     def ranks(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
         smooth = cv2.GaussianBlur(np.where(usable, values, 0), (0, 0), GREY.blur_px)
-        weight = cv2.GaussianBlur(usable.astype(np.float32), (0, 0), 50 * pose.GREY_REACH)
-        mean = cv2.GaussianBlur(np.where(usable, smooth, 0), (0, 0), 50 * pose.GREY_REACH)
+        weight = cv2.GaussianBlur(usable.astype(np.float32), (0, 0), 50 * POSE.grey.reach)
+        mean = cv2.GaussianBlur(np.where(usable, smooth, 0), (0, 0), 50 * POSE.grey.reach)
         local = (smooth - mean / weight)[usable]
         result = np.zeros(values.shape)
         result[usable] = [(local < each).mean() + (local == each).mean() / 2 for each in local]
@@ -177,21 +190,21 @@ def test_grey_values_depend_on_each_other_at_the_true_pose_alone(change: Any) ->
     images = pose_images(
         fields + rng.normal(0, 1.5, fields.shape), change(fields) + rng.normal(0, 1.5, fields.shape)
     )
-    grey = pose._GreyValues(*images, 96)
+    dependence = GreyDependence(*images, 96, POSE)
     turned = np.vstack([cv2.getRotationMatrix2D(((SIDE_PX - 1) / 2,) * 2, 25.0, 1.0), [0, 0, 1]])
-    there = grey.dependence(np.eye(3))
-    assert there > 2 * grey.dependence(turned)
+    there = dependence(np.eye(3))
+    assert there > 2 * dependence(turned)
     shifts = [np.array([[1.0, 0, x], [0, 1, y], [0, 0, 1]]) for x, y in ((40, 0), (0, -40), (60, 60))]
-    assert there > 2 * max(map(grey.dependence, shifts))
+    assert there > 2 * max(map(dependence, shifts))
     far = np.array([[1.0, 0, 2 * SIDE_PX], [0, 1, 0], [0, 0, 1]])
-    assert grey.dependence(far) == 0.0
+    assert dependence(far) == 0.0
 
 
 def test_a_pose_climbs_by_structure_and_grey_values() -> None:
     target, matrix = seen(-20.0, 1.0, (10.0, 4.0), 1.05)
     images = pose_images(REFERENCE, target)
-    joint = pose._JointScore(*images, pose._Ascent(*images, 112), 1)
-    true = np.vstack([matrix, [0.0, 0.0, 1.0]])
+    joint = JointScore(*images, Ascent(*images, 112, POSE), 1, POSE)
+    true = square(matrix)
     beside = true @ [[1.03, -0.02, 2.0], [0.02, 0.98, -2.0], [0.0, 0.0, 1.0]]
     assert mean_distance_px(beside, true, REFERENCE.shape) > 3.0
     score, found = joint.climbed(joint.climbed(beside)[1], affine=True)
@@ -203,10 +216,10 @@ def test_a_pose_climbs_by_structure_and_grey_values() -> None:
 def test_grey_values_confirm_and_move_the_pose_of_the_structure() -> None:
     target, matrix = seen(30.0, 1.0, (5.0, 4.0))
     searched = search_pose(REFERENCE, target, *[np.ones(REFERENCE.shape, bool)] * 2)
-    by_structure = searched.found
+    by_structure = searched.proposal
     assert by_structure is not None
     beside = replace(by_structure, matrix=by_structure.matrix + np.array([[0, 0, 3.0], [0, 0, -2.0]]))
-    _, found = poses_by_grey_values(replace(searched, found=beside))
+    _, found = poses_by_grey_values(replace(searched, proposal=beside))
     assert found is not None
     assert found.evidence >= by_structure.evidence
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 1.5
@@ -221,11 +234,11 @@ def test_patches_agree_on_an_affine_pose_by_their_grey_values() -> None:
     images = pose_images(fields + noise[0], folded + noise[1])
     beside = true @ [[1.06, 0.03, 9.0], [-0.02, 0.95, -8.0], [0.0, 0.0, 1.0]]
     assert mean_distance_px(beside, true, fields.shape) > 8.0
-    patches = pose._GreyPatches(*images)
+    patches = VotingPatches(*images, POSE, GreyComparison)
     votes, found = patches.vote(beside)
     assert patches.evidence(votes) > 3.0
     assert mean_distance_px(found, true, fields.shape) < 1.5
-    other = pose._GreyPatches(*pose_images(fields + noise[0], tones(6) + noise[1]))
+    other = VotingPatches(*pose_images(fields + noise[0], tones(6) + noise[1]), POSE, GreyComparison)
     assert other.evidence(other.vote(beside)[0]) < 1.0
 
 
@@ -235,7 +248,7 @@ def tilted(change: float) -> tuple[np.ndarray, np.ndarray]:
     tilt = np.eye(3)
     tilt[2, :2] = change / SIDE_PX * np.array([0.8, 0.6])
     about = np.array([[1.0, 0.0, -SIDE_PX / 2], [0.0, 1.0, -SIDE_PX / 2], [0.0, 0.0, 1.0]])
-    homography = np.vstack([matrix, [0.0, 0.0, 1.0]]) @ np.linalg.inv(about) @ tilt @ about
+    homography = square(matrix) @ np.linalg.inv(about) @ tilt @ about
     from_scene = homography @ np.array([[1, 0, -150], [0, 1, -150], [0, 0, 1.0]])
     size = (SIDE_PX, SIDE_PX)
     whole = modality(cover(1), 20, blur_px=2.0)
@@ -254,7 +267,7 @@ def test_a_target_seen_from_the_side_is_found_in_perspective() -> None:
     found = search(target)
     assert found is not None
     assert found.accepted
-    assert apart_px(np.vstack([found.matrix, [0.0, 0.0, 1.0]]), homography) > 3.0
+    assert apart_px(square(found.matrix), homography) > 3.0
     assert found.homography is not None
     assert found.homography[2, 2] == 1.0
     assert apart_px(found.homography, homography) < 1.0
@@ -269,21 +282,22 @@ def test_a_target_seen_from_above_shows_no_perspective() -> None:
 
 def test_a_change_that_places_a_patch_beyond_the_horizon_has_no_support() -> None:
     middles = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
-    off_px = pose.VOTE_TOLERANCE_PX * np.array([[0.0, 0.0], [0.0, 0.5], [1.0, 0.0], [4.0, 4.0]])
+    tolerance_px = POSE.consensus.tolerance_px
+    off_px = tolerance_px * np.array([[0.0, 0.0], [0.0, 0.5], [1.0, 0.0], [4.0, 4.0]])
     moved = middles + off_px
-    votes = pose._Votes(np.eye(3), np.ones(4, bool), 0.0, middles, moved, np.eye(3))
-    assert votes.support == pytest.approx(1 + 0.75 + 0 + 0)
-    _, agrees = votes._support(np.eye(3))
+    votes = Votes(np.eye(3), np.ones(4, bool), 0.0, middles, moved, np.eye(3))
+    support, agrees = support_of(votes, np.eye(3), tolerance_px)
+    assert support == pytest.approx(1 + 0.75 + 0 + 0)
     assert agrees.tolist() == [True, True, True, False]
     beyond = np.eye(3)
     beyond[2, 0] = -0.011
-    assert votes._support(beyond)[0] == 0.0
+    assert support_of(votes, beyond, tolerance_px)[0] == 0.0
 
 
 def test_patches_that_do_not_agree_grow_no_homography() -> None:
     middles = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0], [100.0, 100.0]])
-    votes = pose._Votes(np.eye(3), np.zeros(4, bool), 0.0, middles, middles + 50.0, np.eye(3))
-    change, support = votes.in_perspective()
+    votes = Votes(np.eye(3), np.zeros(4, bool), 0.0, middles, middles + 50.0, np.eye(3))
+    change, support = grown_homography(votes, POSE.consensus)
     assert (change == np.eye(3)).all()
     assert support == 0.0
 
@@ -297,8 +311,8 @@ def test_grey_values_tell_no_pose_of_another_scene(seed: int) -> None:
 
 def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:
     target, matrix = seen(-20.0, 1.0, (10.0, 4.0), 1.1)
-    ascent = pose._Ascent(*pose_images(REFERENCE, target), 56)
-    true = np.vstack([matrix, [0.0, 0.0, 1.0]])
+    ascent = Ascent(*pose_images(REFERENCE, target), 56, POSE)
+    true = square(matrix)
     beside = true @ [[1.05, -0.04, 3.0], [0.03, 0.97, -4.0], [0.0, 0.0, 1.0]]
     assert mean_distance_px(beside, true, REFERENCE.shape) > 5.0
     score, found = ascent.from_pose(beside)
@@ -316,7 +330,7 @@ def test_patches_in_one_part_tell_a_similarity_unless_it_fits_worse(stretch: flo
     agrees = np.arange(60) < 50
     target_px[~agrees] += draw.uniform(20.0, 60.0, (10, 2))
     affine = np.vstack([affine_between(reference_px[agrees], target_px[agrees]), [0.0, 0.0, 1.0]])
-    found = pose._as_similarity(affine, reference_px, target_px, agrees, 6.0)
+    found = similarity_if_as_good(affine, reference_px, target_px, agrees, 6.0, POSE.consensus)
     values = np.linalg.svd(found[:2, :2], compute_uv=False)
     if stretch == 1.0:
         assert values[0] == pytest.approx(values[1])
@@ -329,37 +343,37 @@ def test_patches_in_one_part_tell_a_similarity_unless_it_fits_worse(stretch: flo
 
 def test_the_correlation_in_place_adds_to_what_a_pose_says() -> None:
     target, matrix = seen(30.0, 0.9, (8.0, -5.0))
-    images = [pose._PoseImage(np.float32(each), np.ones(each.shape, bool)) for each in (REFERENCE, target)]
+    images = [PoseImage(np.float32(each), np.ones(each.shape, bool)) for each in (REFERENCE, target)]
     elsewhere = np.add(matrix, [[0.0, 0.0, 40.0], [0.0, 0.0, 0.0]])
     right, wrong = (PoseProposal(each, 1.0, 1.0) for each in (matrix, elsewhere))
-    assert pose._Frame(*images, right).confirmed(right).evidence > 3.0
-    assert pose._Frame(*images, wrong).confirmed(wrong).evidence == 1.0
+    assert Frame(*images, right, POSE).confirmed(right).evidence > 3.0
+    assert Frame(*images, wrong, POSE).confirmed(wrong).evidence == 1.0
 
 
 def test_planes_that_are_warped_together_are_those_warped_alone() -> None:
-    image = pose._PoseImage(REFERENCE.astype(np.float32), np.ones(REFERENCE.shape, bool))
+    image = PoseImage(REFERENCE.astype(np.float32), np.ones(REFERENCE.shape, bool))
     for per_cell in ((3.0,), (4.2, 8.4)):
         layers = image.averaged(40, per_cell)
         assert image.averaged(40, per_cell) is layers
         for packed, _ in layers:
             for several in packed:
                 turn = cv2.getRotationMatrix2D((50, 40), 25, 0.4)
-                together = pose._warped(several, turn, (60, 70))
+                together = warped(several, turn, (60, 70))
                 for number in range(several.shape[2]):
                     plane = np.ascontiguousarray(several[..., number])
-                    np.testing.assert_array_equal(together[..., number], pose._warped(plane, turn, (60, 70)))
+                    np.testing.assert_array_equal(together[..., number], warped(plane, turn, (60, 70)))
 
 
 def test_few_averages_are_remembered() -> None:
-    image = pose._PoseImage(REFERENCE.astype(np.float32), np.ones(REFERENCE.shape, bool))
+    image = PoseImage(REFERENCE.astype(np.float32), np.ones(REFERENCE.shape, bool))
     kept = image.averaged(40, (3.0,))
-    for side_cells in range(20, 20 + pose.REMEMBERED):
+    for side_cells in range(20, 20 + POSE.structure.remembered):
         image.averaged(side_cells, (3.0,))
         assert image.averaged(40, (3.0,)) is kept
-    assert len(image._averaged) == pose.REMEMBERED
+    assert len(image._averages) == POSE.structure.remembered
 
 
 def test_a_step_is_undone() -> None:
     change = np.array([[0.1, -0.2, 0.7], [0.05, 0.3, -1.1]])
     forth = np.eye(3) + np.vstack([change, np.zeros(3)])
-    np.testing.assert_allclose(forth @ pose._undone(change), np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(forth @ inverse_of_step(change), np.eye(3), atol=1e-15)

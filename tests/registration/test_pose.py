@@ -13,7 +13,7 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching.pose import PoseProposal
+from pcwlad_geo.matching.pose.proposal import PoseProposal
 from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import Camera
@@ -328,7 +328,7 @@ def test_a_search_gives_frames_alone_a_perspective(
     by_indices = from_corners @ homography @ np.linalg.inv(from_corners)
     affine = np.array([[1.0, 0.1, 4.0], [-0.1, 1.0, 7.0]])
     proposal = PoseProposal(affine, 1.0, 3.0, homography=by_indices)
-    monkeypatch.setattr(prealign, "search_pose", lambda *_, **__: SimpleNamespace(found=proposal))
+    monkeypatch.setattr(prealign, "search_pose", lambda *_, **__: SimpleNamespace(proposal=proposal))
     pair = views(tmp_path, located=located)
     start = PoseStarts(pair, read_overviews(pair), Settings()).by_structure()
     assert start is not None

@@ -12,7 +12,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.guidance import GUIDANCE
-from pcwlad_geo.matching.pose import mean_distance_px
+from pcwlad_geo.matching.pose.distances import mean_distance_px
 from pcwlad_geo.registration.judge import is_doubtful
 from pcwlad_geo.registration.prealign import StartingAlignment, posed_start
 from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
