@@ -32,9 +32,10 @@ from .raster.grid import Grid
 from .raster.source import RasterInfo
 from .raster.trust.permissions import Trust
 from .registration.judge import Verdict
-from .registration.prealign import Pose, Prealignment
 from .registration.quality import Quality
 from .registration.result import Matches, Pair, Registration
+from .registration.starts.alignment import Prealignment
+from .registration.starts.pose import Pose
 from .requirements import RequirementResult
 from .rigs.applying import CaptureOutcome
 from .rigs.applying_run import RigApplied, rig_apply

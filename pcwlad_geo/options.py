@@ -260,7 +260,8 @@ class Settings:
         check=_FUNCTION,
     )
     """Function that finds corresponding positions in two images, ``package.module:function`` (see
-    `registration.prealign`); tried before the pose search. Its module is imported, that is, run."""
+    `registration.starts.start_matcher`); tried before the pose search. Its module is imported, that is,
+    run."""
     geometry: Geometry = option(
         "auto",
         "How wrong matches are recognised: by a smooth displacement, or by epipolar lines (parallax).",

@@ -19,9 +19,9 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.starts.alignment import Prealignment
 from pcwlad_geo.report.content import summarise, to_json
 from pcwlad_geo.tiepoints.table import TiePointTable
 

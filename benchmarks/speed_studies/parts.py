@@ -35,7 +35,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.planning import plan
-from pcwlad_geo.registration.prealign import read_overviews
+from pcwlad_geo.registration.starts.overviews import read_overviews
 
 ALL_POINTS: Final = MatchSettings(window=81, search_radius=12)
 """What `--points all --window 81` comes to on a georeferenced scene."""

@@ -5,11 +5,12 @@ from .matching import match_pair
 from .motions import Motion
 from .opening import prepare_pair
 from .point_file import Origin
-from .prealign import Pose, Prealignment
 from .quality import FAIR_PX, GOOD_PX, GRADES, Grade, Quality, QualityParameters, Reason
 from .result import Matches, Pair, PairGeometry, Registration, RegistrationStatus
 from .rpc import CorrectedRpc, RpcRegistration
 from .run import conclude, prove_pair, register_pair
+from .starts.alignment import Prealignment
+from .starts.pose import Pose
 
 __all__ = [
     "FAIR_PX",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pcwlad_geo.registration.judge import Verdict
-from pcwlad_geo.registration.prealign import Prealignment
+from pcwlad_geo.registration.starts.alignment import Prealignment
 
 
 def refusal(

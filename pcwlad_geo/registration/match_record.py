@@ -18,7 +18,7 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.source import has_quick_overview
 from pcwlad_geo.registration.planning import PlanParameters, texture_of
-from pcwlad_geo.registration.prealign import Overviews
+from pcwlad_geo.registration.starts.overviews import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.types import Bool, Float64
 

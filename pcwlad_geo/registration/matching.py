@@ -24,7 +24,6 @@ from pcwlad_geo.registration.match_record import record_ground
 from pcwlad_geo.registration.motions import describe_motions
 from pcwlad_geo.registration.point_file import user_points
 from pcwlad_geo.registration.positions import PositionConflict, position_conflict
-from pcwlad_geo.registration.prealign import RADIUS_PX, Prealignment, StartingAlignment, read_overviews
 from pcwlad_geo.registration.result import Matches, Pair, PairGeometry
 from pcwlad_geo.registration.rpc import (
     check_start,
@@ -36,6 +35,9 @@ from pcwlad_geo.registration.scene.best_start import (
 )
 from pcwlad_geo.registration.scene.matching import match_scene
 from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
+from pcwlad_geo.registration.starts.alignment import Prealignment, StartingAlignment
+from pcwlad_geo.registration.starts.overviews import read_overviews
+from pcwlad_geo.registration.starts.parameters import START
 from pcwlad_geo.registration.tiles import forget_tiles
 from pcwlad_geo.tiepoints.table import TiePointTable
 
@@ -248,7 +250,7 @@ def _by_matching(
     if around_px is None:
         scene, views = match_from_best_start(views, overviews, context)
     else:
-        radius_px = min(RADIUS_PX, max(2, round(np.abs(around_px).max()) - 3))
+        radius_px = min(START.radius_px, max(2, round(np.abs(around_px).max()) - 3))
         start = StartingAlignment(Prealignment("search", around_px, radius_px, True), views, overviews)
         scene = match_scene(start, context)
     if pair.rpc and scene.verdict.accepted:

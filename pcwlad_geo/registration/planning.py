@@ -25,7 +25,7 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import Patch
 from pcwlad_geo.registration.inputs import tiles_along
-from pcwlad_geo.registration.prealign import Overviews
+from pcwlad_geo.registration.starts.overviews import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.types import Float32, Float64, Index
 

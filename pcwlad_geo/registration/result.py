@@ -30,9 +30,9 @@ from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.match_record import MatchRecord
 from pcwlad_geo.registration.motions import Motion
 from pcwlad_geo.registration.point_file import Origin
-from pcwlad_geo.registration.prealign import Prealignment, direct_start, searches_first
 from pcwlad_geo.registration.quality import Doubt, Quality
 from pcwlad_geo.registration.rpc import RpcRegistration
+from pcwlad_geo.registration.starts.alignment import Prealignment, direct_start, searches_first
 from pcwlad_geo.registration.tiles import TileJob
 from pcwlad_geo.requirements import RequirementResult
 from pcwlad_geo.text import Shown, html_table, one_line

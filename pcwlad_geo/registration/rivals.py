@@ -12,8 +12,9 @@ import numpy as np
 from pcwlad_geo.matching import search_shift
 from pcwlad_geo.matching.repeats import Rival, rivals_of
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.prealign import RADIUS_AFTER_SEARCH_PX, SEARCH_ERROR_PX, StartingAlignment
 from pcwlad_geo.registration.quality import FAIR_PX, Doubt
+from pcwlad_geo.registration.starts.alignment import StartingAlignment
+from pcwlad_geo.registration.starts.parameters import START
 from pcwlad_geo.types import Float64
 
 
@@ -112,7 +113,7 @@ def start_at(
     or within; None where that search would be too large.
     """
     before, by = start.prealignment, parameters
-    error_px = RADIUS_AFTER_SEARCH_PX + math.ceil(SEARCH_ERROR_PX * (start.overviews.factor - 1))
+    error_px = START.radius_after_search_px + math.ceil(START.search_error_px * (start.overviews.factor - 1))
     bound_px = max(by.least_radius_px, int(distance_px / 2))
     radius_px = min(error_px, bound_px) if separately else error_px + bound_px
     if not separately and radius_px > by.largest_radius_px:

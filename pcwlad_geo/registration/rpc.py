@@ -33,7 +33,7 @@ from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64
 
 if TYPE_CHECKING:  # slow to load; workers are started before
-    from pcwlad_geo.registration.prealign import Prealignment
+    from pcwlad_geo.registration.starts.alignment import Prealignment
 
 
 @dataclass(frozen=True, slots=True)

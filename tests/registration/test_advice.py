@@ -10,7 +10,9 @@ import pytest
 from pcwlad_geo.raster.view import Patch
 from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.judge import Verdict
-from pcwlad_geo.registration.prealign import Pose, Prealignment, has_few_values
+from pcwlad_geo.registration.starts.alignment import Prealignment
+from pcwlad_geo.registration.starts.overviews import has_few_values
+from pcwlad_geo.registration.starts.pose import Pose
 
 FACTS = "only 7 of 900 candidates agree"
 

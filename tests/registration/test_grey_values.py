@@ -11,9 +11,10 @@ from scipy import ndimage
 
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.opening import prepare_pair
-from pcwlad_geo.registration.prealign import StartingAlignment, direct_start, read_overviews
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration.starts.alignment import StartingAlignment, direct_start
+from pcwlad_geo.registration.starts.overviews import read_overviews
 from tests.scenes import Array, make_grid, write
 
 SIDE = 400

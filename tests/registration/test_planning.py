@@ -15,7 +15,7 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
-from pcwlad_geo.registration.prealign import read_overviews
+from pcwlad_geo.registration.starts.overviews import read_overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from tests.scenes import make_grid, write
 

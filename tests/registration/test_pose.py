@@ -13,27 +13,23 @@ import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.pose.proposal import PoseProposal
-from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import Camera
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration import prealign
-from pcwlad_geo.registration.prealign import (
-    Pose,
-    PoseStarts,
-    Prealignment,
-    StartingAlignment,
-    posed_start,
-    read_overviews,
-    scales_of_frames,
-)
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.registration.scene import pose as pose_module
 from pcwlad_geo.registration.scene.parameters import SceneContext
 from pcwlad_geo.registration.scene.pose import match_again_in_pose, pose_from_points
+from pcwlad_geo.registration.starts import searches
+from pcwlad_geo.registration.starts.alignment import Prealignment, StartingAlignment
+from pcwlad_geo.registration.starts.overviews import read_overviews
+from pcwlad_geo.registration.starts.pose import Pose
+from pcwlad_geo.registration.starts.posing import posed_start
+from pcwlad_geo.registration.starts.searches import PoseStarts, scales_of_frames
 from tests.scenes import Array, make_grid, render, tag_jpeg, write
 
 GRID = make_grid((300, 320))
@@ -328,7 +324,7 @@ def test_a_search_gives_frames_alone_a_perspective(
     by_indices = from_corners @ homography @ np.linalg.inv(from_corners)
     affine = np.array([[1.0, 0.1, 4.0], [-0.1, 1.0, 7.0]])
     proposal = PoseProposal(affine, 1.0, 3.0, homography=by_indices)
-    monkeypatch.setattr(prealign, "search_pose", lambda *_, **__: SimpleNamespace(proposal=proposal))
+    monkeypatch.setattr(searches, "search_pose", lambda *_, **__: SimpleNamespace(proposal=proposal))
     pair = views(tmp_path, located=located)
     start = PoseStarts(pair, read_overviews(pair), Settings()).by_structure()
     assert start is not None

@@ -11,15 +11,10 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.prealign import (
-    OVERVIEW_SIDE_PX,
-    RADIUS_PX,
-    Prealignment,
-    by_georeferencing,
-    by_search,
-    read_overviews,
-    target_offset_px,
-)
+from pcwlad_geo.registration.starts.alignment import Prealignment, by_georeferencing, target_offset_px
+from pcwlad_geo.registration.starts.overviews import read_overviews
+from pcwlad_geo.registration.starts.parameters import START
+from pcwlad_geo.registration.starts.searches import by_search
 from tests.scenes import Array, make_grid, render, write
 
 GRID = make_grid((240, 260))
@@ -32,7 +27,7 @@ def views(folder: Path, target: Array, grid: Grid | None = GRID, reference: Arra
 
 
 def test_georeferencing_is_believed_within_a_radius() -> None:
-    assert by_georeferencing(None) == Prealignment("georeferencing", (0.0, 0.0), RADIUS_PX)
+    assert by_georeferencing(None) == Prealignment("georeferencing", (0.0, 0.0), START.radius_px)
     assert by_georeferencing(30).search_radius_px == 30
 
 
@@ -81,8 +76,8 @@ def test_the_look_has_one_resolution_and_is_small(tmp_path: Path) -> None:
         describe(write(tmp_path / "tgt.tif", render(wide), wide)),
     )
     look = read_overviews(pair)
-    assert look.factor == pytest.approx(2300 / OVERVIEW_SIDE_PX)
-    assert max(look.target.values.shape) <= OVERVIEW_SIDE_PX
+    assert look.factor == pytest.approx(2300 / START.overview_side_px)
+    assert max(look.target.values.shape) <= START.overview_side_px
     for patch, view in ((look.reference, pair.reference), (look.target, pair.target)):
         np.testing.assert_allclose(np.array(view.grid.shape) / patch.values.shape, look.factor, rtol=0.02)
 

@@ -21,9 +21,9 @@ from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.view import View
-from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.rpc import RpcParameters, check_start, place_target
 from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration.starts.alignment import Prealignment
 from tests.cli.process import run_cli
 from tests.rpc_scene import (
     PX_PER_M,

@@ -17,7 +17,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.planning import plan as plan_scene
-from pcwlad_geo.registration.prealign import read_overviews
+from pcwlad_geo.registration.starts.overviews import read_overviews
 from pcwlad_geo.registration.tiles import Scene, TileJob, match_tile, rematch_tile
 from tests.scenes import make_grid, render, write
 

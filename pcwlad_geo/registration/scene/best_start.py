@@ -11,13 +11,14 @@ from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.advice import refusal
-from pcwlad_geo.registration.prealign import Overviews, StartingAlignment, by_georeferencing, read_overviews
 from pcwlad_geo.registration.rpc import shifted
 from pcwlad_geo.registration.scene.ground import compare_with_rivals, reach_all_ground, select_ground_motion
 from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
 from pcwlad_geo.registration.scene.parameters import SceneContext
 from pcwlad_geo.registration.scene.pose import match_again_in_pose
 from pcwlad_geo.registration.scene.starts import note_of_sizes, starts, warn_of_start, with_few_values
+from pcwlad_geo.registration.starts.alignment import StartingAlignment, by_georeferencing
+from pcwlad_geo.registration.starts.overviews import Overviews, read_overviews
 from pcwlad_geo.tiepoints.table import TiePointTable, locate
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.raster.grid import middle_pixel_size_m
 from pcwlad_geo.registration.motions import motion_of_the_ground
-from pcwlad_geo.registration.prealign import StartingAlignment, can_be_posed
 from pcwlad_geo.registration.rivals import (
     doubt_of_rivals,
     doubt_of_unreached,
@@ -20,6 +19,8 @@ from pcwlad_geo.registration.rivals import (
 )
 from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
 from pcwlad_geo.registration.scene.parameters import SceneContext
+from pcwlad_geo.registration.starts.alignment import StartingAlignment
+from pcwlad_geo.registration.starts.posing import can_be_posed
 
 
 def select_ground_motion(

@@ -15,12 +15,12 @@ from pcwlad_geo.registration.judge import Verdict, agree_closely, judge
 from pcwlad_geo.registration.match_record import MatchRecord, record_matching
 from pcwlad_geo.registration.motions import Motion, motions_of, patches
 from pcwlad_geo.registration.planning import plan
-from pcwlad_geo.registration.prealign import Prealignment, StartingAlignment, target_offset_px
 from pcwlad_geo.registration.quality import Doubt
 from pcwlad_geo.registration.scene.first_pass import run_first_pass, sum_counts
 from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
 from pcwlad_geo.registration.scene.second_pass import check_second_pass, run_second_pass
 from pcwlad_geo.registration.scene.windows import match_settings
+from pcwlad_geo.registration.starts.alignment import Prealignment, StartingAlignment, target_offset_px
 from pcwlad_geo.registration.tiles import TileJob
 from pcwlad_geo.types import Bool, Float64
 

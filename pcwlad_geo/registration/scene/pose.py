@@ -14,9 +14,10 @@ from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.guidance import GUIDANCE
 from pcwlad_geo.matching.pose.distances import mean_distance_px
 from pcwlad_geo.registration.judge import is_doubtful
-from pcwlad_geo.registration.prealign import StartingAlignment, posed_start
 from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
 from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
+from pcwlad_geo.registration.starts.alignment import StartingAlignment
+from pcwlad_geo.registration.starts.posing import posed_start
 from pcwlad_geo.types import Float64
 
 

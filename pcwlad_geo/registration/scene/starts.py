@@ -8,21 +8,17 @@ from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.registration.prealign import (
-    Overviews,
-    PoseStarts,
+from pcwlad_geo.registration.scene.parameters import SceneContext
+from pcwlad_geo.registration.starts.alignment import (
     Prealignment,
     StartingAlignment,
-    by_search,
-    can_be_posed,
     direct_start,
-    has_few_values,
-    load_start_matcher,
-    proposed_start,
-    scales_of_frames,
     searches_first,
 )
-from pcwlad_geo.registration.scene.parameters import SceneContext
+from pcwlad_geo.registration.starts.overviews import Overviews, has_few_values
+from pcwlad_geo.registration.starts.posing import can_be_posed
+from pcwlad_geo.registration.starts.searches import PoseStarts, by_search, scales_of_frames
+from pcwlad_geo.registration.starts.start_matcher import load_start_matcher, proposed_start
 
 
 def starts(pair: ViewPair, overviews: Overviews, context: SceneContext) -> Iterator[StartingAlignment | None]:

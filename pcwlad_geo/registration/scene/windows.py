@@ -8,8 +8,8 @@ from pcwlad_geo.matching.types import FIRST_WINDOW_PX, LARGE_WINDOWS_PX, OTHER_W
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.registration.planning import common_region, farthest_px
-from pcwlad_geo.registration.prealign import Prealignment
 from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
+from pcwlad_geo.registration.starts.alignment import Prealignment
 
 
 def match_settings(
