@@ -23,6 +23,8 @@ class CalibrationParameters:
     """Least and largest factor."""
     least_residuals: int = 30
     """Least number of points with a residual that tell it."""
+    coarse_sigma_px: float = 0.35
+    """Sigma per axis of a match at a whole pixel, as method `coarse` ends with."""
     least_sigma_px: float = 0.01
     """Sigma per axis that every tie point gets, in quadrature."""
 

@@ -32,7 +32,7 @@ class ChannelParameters:
     """Sigma of the Gaussian that smooths the channels."""
 
 
-PARAMETERS: Final = ChannelParameters()
+CHANNELS: Final = ChannelParameters()
 """Those that are used."""
 
 
@@ -52,26 +52,26 @@ def channels_at(image: NDArray[np.floating[Any]], valid: Bool, factor: int) -> C
 
 
 def normalised_channels(
-    values: Float32, known: NDArray[np.bool_], by: ChannelParameters = PARAMETERS
+    values: Float32, valid: NDArray[np.bool_], by: ChannelParameters = CHANNELS
 ) -> tuple[Float32, Float32]:
     """Compute the orientation channels of an image, normalised by those around them.
 
-    For the (rows, cols) float32 `values`, of which those in the (rows, cols) bool array `known` are valid,
+    For the (rows, cols) float32 `values`, of which those in the (rows, cols) bool array `valid` are valid,
     return the (rows, cols, 6) float32 channels, zero where not usable, and a (rows, cols) float32 array that
     is 1 where a channel is not disturbed by the border or by invalid pixels, else 0.
     """
     rows, cols = values.shape
-    epsilon = scene_epsilon(values, known)
+    epsilon = scene_epsilon(values, valid)
     if epsilon == 0.0:
         return np.zeros((rows, cols, ORIENTATIONS), np.float32), np.zeros((rows, cols), np.float32)
     pad = by.padding_px
     sides = [fast_even(n + 2 * pad) for n in (rows, cols)]
     below, right = sides[0] - rows - pad, sides[1] - cols - pad
-    filled = np.asarray(fill_smoothly(values, known), np.float32)
+    filled = np.asarray(fill_smoothly(values, valid), np.float32)
     bordered = cv2.copyMakeBorder(filled, pad, below, pad, right, cv2.BORDER_REFLECT_101)
     padded: Float32 = np.asarray(bordered, np.float32)
     maps = oriented_phase_congruency(padded, epsilon)[:, pad:-below, pad:-right]
-    inside = _usable(known, by)
+    inside = _usable(valid, by)
     return _normalise(np.ascontiguousarray(maps.transpose(1, 2, 0)), inside, by), inside
 
 
@@ -82,8 +82,8 @@ def _decimate(image: NDArray[np.floating[Any]], valid: Bool, factor: int) -> tup
     blocks = (rows, -1, cols, min(factor, image.shape[1]))
     weight = valid[inside].reshape(blocks).sum(axis=(1, 3))
     total = np.where(valid[inside], image[inside], 0).reshape(blocks).sum(axis=(1, 3), dtype=np.float64)
-    known = 2 * weight >= factor**2
-    return (total / np.maximum(weight, 1)).astype(np.float32), known
+    half_valid = 2 * weight >= factor**2
+    return (total / np.maximum(weight, 1)).astype(np.float32), half_valid
 
 
 def _usable(valid: Bool, by: ChannelParameters) -> Float32:

@@ -21,8 +21,17 @@ from pcwlad_geo.matching.kernels.library import (
 from pcwlad_geo.matching.paper import PAPER
 from pcwlad_geo.types import Bool, Float32, Float64, Floating, Index
 
-PEAK_CLEARANCE_PX: Final = 3
-"""Offsets within this distance of the peak, per axis, belong to it and are not taken for the second peak."""
+
+@dataclass(frozen=True, slots=True)
+class CoarseParameters:
+    """How the peak of a search is told from others."""
+
+    peak_clearance_px: int = 3
+    """Offsets within this distance of the peak, per axis, belong to it and are not the second peak."""
+
+
+COARSE: Final = CoarseParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +138,7 @@ def peak_distinctness(surfaces: Float32, row: Index, col: Index) -> Float64:
     # of an odd number of values, as a search window has; np.median takes six times as long
     median = np.partition(surfaces.reshape(n, size), size // 2, axis=1)[:, size // 2].astype(np.float64)
     cleared = surfaces.copy()
-    k = PEAK_CLEARANCE_PX
+    k = COARSE.peak_clearance_px
     for plane, r, c in zip(cleared, row, col, strict=True):
         plane[max(r - k, 0) : r + k + 1, max(c - k, 0) : c + k + 1] = -np.inf
     second = np.maximum(cleared.max(axis=(1, 2)), median)

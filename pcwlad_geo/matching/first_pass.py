@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
 
 import cv2
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.both_directions import refine_both
+from pcwlad_geo.matching.calibration import CALIBRATION
 from pcwlad_geo.matching.coarse import match_coarsely
 from pcwlad_geo.matching.gaps import least_share
 from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
@@ -21,9 +21,6 @@ from pcwlad_geo.matching.refinement import InitialEstimate, Refined
 from pcwlad_geo.matching.rounds import suffice
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
-
-COARSE_SIGMA_PX: Final = 0.35
-"""Sigma per axis of a match at a whole pixel, as method `coarse` ends with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +82,7 @@ def _match_corners(
     shift = coarse.shift_xy_px if traits.structure == "local" else whole
     index, score = np.flatnonzero(inside), coarse.distinctness
     if not traits.refined:
-        covariance = np.tile(COARSE_SIGMA_PX**2 * np.eye(2), (len(index), 1, 1))
+        covariance = np.tile(CALIBRATION.coarse_sigma_px**2 * np.eye(2), (len(index), 1, 1))
         whole_px = Refined(shift[index], np.zeros_like(covariance), covariance, np.ones(len(index), bool))
         points = points_at(corners[index], whole_px, score[index], np.full(len(index), np.nan))
         return points, Candidates(centres(corners), outcome)

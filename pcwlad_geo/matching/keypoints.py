@@ -31,12 +31,12 @@ class CornerParameters:
     """Largest deviation from the mean, in least contrasts, so that its square stays finite."""
     noise_margin: float = 1.2
     """Factor on the noise energy that is subtracted, for its own scatter."""
+    full_scale: float = 0.5
+    """The map value that becomes 255; it is fixed, so that every tile of a scene has the same corners."""
 
 
 CORNERS: Final = CornerParameters()
 """Those in use."""
-FULL_SCALE: Final = 0.5
-"""The map value that becomes 255; it is fixed, so that every tile of a scene has the same corners."""
 OUTCOMES: Final = (
     *("matched", "not_comparable", "not_similar", "at_search_border", "not_converged", "directions_disagree"),
 )
@@ -116,7 +116,7 @@ def detect_corners(moment: Float32, usable: Bool, weight: Float32) -> tuple[Inde
     Corners of the (rows, cols) `moment` lie where the (rows, cols) mask `usable` is true. Return their (n, 2)
     row and column, and the (n,) FAST response times the (rows, cols) `weight`.
     """
-    scaled = np.clip(moment * np.float32(255 / FULL_SCALE), 0, 255).astype(np.uint8)
+    scaled = np.clip(moment * np.float32(255 / CORNERS.full_scale), 0, 255).astype(np.uint8)
     detector = cv2.FastFeatureDetector.create(CORNERS.threshold, True, cv2.FAST_FEATURE_DETECTOR_TYPE_9_16)
     detected = detector.detect(scaled)
     places = np.array(cv2.KeyPoint.convert(detected), np.float32).reshape(-1, 2)

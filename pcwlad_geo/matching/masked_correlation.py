@@ -26,12 +26,12 @@ class CorrelationParameters:
     """Shifts within this distance of a peak, per axis, belong to it."""
 
 
-PARAMETERS: Final = CorrelationParameters()
+MASKED_CORRELATION: Final = CorrelationParameters()
 """Those that are used."""
 
 
 def peaks_of(
-    reference: Channels, target: Channels, by: CorrelationParameters = PARAMETERS
+    reference: Channels, target: Channels, by: CorrelationParameters = MASKED_CORRELATION
 ) -> list[tuple[float, float]]:
     """Return the (col, row) shifts of the highest peaks of the masked correlation of two images."""
     score = _scores(reference, target, by)
@@ -65,7 +65,7 @@ def _scores(reference: Channels, target: Channels, by: CorrelationParameters) ->
 def ratio_in_place(
     reference: tuple[Float32, Float32],
     target: tuple[Float32, Float32],
-    by: CorrelationParameters = PARAMETERS,
+    by: CorrelationParameters = MASKED_CORRELATION,
 ) -> float:
     """Return the correlation of two images that fit to a few px, over the highest with any other shift.
 

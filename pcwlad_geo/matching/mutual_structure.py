@@ -20,7 +20,7 @@ import numpy as np
 
 from pcwlad_geo.matching.coarse import ssim
 from pcwlad_geo.matching.kernels.library import POINTER, REAL, WHOLE, address, function
-from pcwlad_geo.matching.keypoints import FULL_SCALE
+from pcwlad_geo.matching.keypoints import CORNERS
 from pcwlad_geo.matching.paper import PAPER, PaperParameters
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined
@@ -78,7 +78,7 @@ def shared_structure(pair: ChannelPair, corners_rc: Index, start: InitialEstimat
         reference, target = _windows(
             pair, corners_rc[part], start.shift_xy_px[part], start.linear[part], window_px
         )
-        result[part] = mutual_structure(reference / FULL_SCALE, target / FULL_SCALE)[2]
+        result[part] = mutual_structure(reference / CORNERS.full_scale, target / CORNERS.full_scale)[2]
     return result
 
 
@@ -101,8 +101,8 @@ def passes_paper(
         corners = corners_rc[part]
         reference, before = _windows(pair, corners, start.shift_xy_px[part], start.linear[part], window_px)
         _, after = _windows(pair, corners, refined.shift_xy_px[part], refined.linear[part], window_px)
-        initial = ssim(reference / FULL_SCALE, before / FULL_SCALE)
-        final = ssim(reference / FULL_SCALE, after / FULL_SCALE)
+        initial = ssim(reference / CORNERS.full_scale, before / CORNERS.full_scale)
+        final = ssim(reference / CORNERS.full_scale, after / CORNERS.full_scale)
         result[part] = (final > gate) & (final > initial)
     return result
 

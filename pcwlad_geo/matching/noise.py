@@ -45,7 +45,6 @@ class NoiseParameters:
 
 NOISE: Final = NoiseParameters()
 """Those in use."""
-_SECOND_DIFFERENCE: Final = ((1.0, -2.0, 1.0), (-2.0, 4.0, -2.0), (1.0, -2.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +148,8 @@ def _mean_detail(image: Float64, valid: Bool) -> float:
     count = cv2.countNonZero(inner)
     if count < NOISE.least_pixels:
         return 0.0
-    detail = cv2.filter2D(image, -1, np.array(_SECOND_DIFFERENCE))
+    second_difference = np.array([1.0, -2.0, 1.0])
+    detail = cv2.filter2D(image, -1, np.outer(second_difference, second_difference))
     return cv2.norm(detail, cv2.NORM_L1, mask=inner) / count
 
 

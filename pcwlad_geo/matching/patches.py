@@ -22,7 +22,7 @@ class PatchParameters:
     sides_px: tuple[int, int] = (32, 48)
     """Range of the side of a patch; small overlaps get smaller patches, so that enough of them can
     vote."""
-    wanted: int = 64
+    count: int = 64
     """Number of patches at which the side of a patch aims."""
     radius_px: int = 12
     """Search radius of a patch around the candidate, enough for parallax and a few per cent of scale."""
@@ -39,7 +39,7 @@ class PatchParameters:
     combined."""
 
 
-PARAMETERS: Final = PatchParameters()
+PATCHES: Final = PatchParameters()
 """Those that are used."""
 
 
@@ -69,7 +69,7 @@ class Patches:
         reference: tuple[Float32, Float32],
         target: tuple[Float32, Float32],
         start_xy: NDArray[np.intp],
-        by: PatchParameters = PARAMETERS,
+        by: PatchParameters = PATCHES,
     ) -> Patches:
         """Match all patches of the reference within a few pixels of a start.
 
@@ -88,17 +88,17 @@ class Patches:
         distance from it within which 95 % of the agreeing patches lie, px.
         """
         xy = self.centres_px[self.agrees] - 0.5
-        moved = xy + self.displacements_px[self.agrees]
-        matrix = similarity_between(xy, moved)
-        spread_px = np.percentile(np.hypot(*(mapped(matrix, xy) - moved).T), 95)
+        target_xy = xy + self.displacements_px[self.agrees]
+        matrix = similarity_between(xy, target_xy)
+        spread_px = np.percentile(np.hypot(*(mapped(matrix, xy) - target_xy).T), 95)
         return matrix, float(spread_px)
 
 
 def window_sums(plane: Float32, side_px: int) -> Float64:
     """Return the sums over all windows of `side_px` of the (rows, cols) `plane`, (rows - side + 1, …)."""
     integral = np.asarray(cv2.integral(plane, sdepth=cv2.CV_64F), np.float64)
-    right, left = integral[:, side_px:], integral[:, :-side_px]
-    result: Float64 = right[side_px:] - right[:-side_px] - left[side_px:] + left[:-side_px]
+    last, first = integral[:, side_px:], integral[:, :-side_px]
+    result: Float64 = last[side_px:] - last[:-side_px] - first[side_px:] + first[:-side_px]
     return result
 
 
@@ -111,7 +111,7 @@ def _match_patches(
     corner, size = start_xy[::-1] - radius, (rows + 2 * radius, cols + 2 * radius)
     values, valid = _crop(target.values, corner, size), _crop(target.valid, corner, size)
     overlap = float((reference.valid * valid[radius:-radius, radius:-radius]).sum())
-    patch_px = int(np.clip(np.sqrt(overlap / by.wanted), *by.sides_px))
+    patch_px = int(np.clip(np.sqrt(overlap / by.count), *by.sides_px))
     energy, count = (window_sums(plane, patch_px) for plane in ((values**2).sum(axis=2), valid))
     side, least = 2 * radius + 1, by.least_valid * patch_px**2
     centres, displacements = [], []

@@ -14,17 +14,26 @@ from pcwlad_geo.matching.coarse import MaskedMap
 from pcwlad_geo.matching.gaps import fill_smoothly, narrow_gaps, open_share, usable
 from pcwlad_geo.matching.grey_values import Tones
 from pcwlad_geo.matching.kernels.library import fast_even, in_threads
-from pcwlad_geo.matching.keypoints import FULL_SCALE, contrast_weight
+from pcwlad_geo.matching.keypoints import CORNERS, contrast_weight
 from pcwlad_geo.matching.maps import maximum_moment, oriented_gradients, oriented_phase_congruency
 from pcwlad_geo.matching.noise import Noise, smoothing_px
 from pcwlad_geo.matching.refinement import ChannelMaps
 from pcwlad_geo.matching.types import Channels
 from pcwlad_geo.types import Bool, Float32, Floating
 
-FILTERS_REACH_PX: Final = 64
-"""Beyond this distance a pixel changes the maps of phase congruency by less than 4e-4."""
-EDGE_PX: Final = 4
-"""Maps count as invalid this near to nodata and image edges, as the filled values influence them."""
+
+@dataclass(frozen=True, slots=True)
+class MapParameters:
+    """How far pixels influence the maps around them."""
+
+    filters_reach_px: int = 64
+    """Beyond this distance a pixel changes the maps of phase congruency by less than 4e-4."""
+    edge_px: int = 4
+    """Maps count as invalid this near to nodata and image edges, as the filled values influence them."""
+
+
+MAPS: Final = MapParameters()
+"""Those in use."""
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -113,7 +122,7 @@ def _maps(
 ) -> tuple[ChannelMaps, MaskedMap]:
     if image.tones is not None:
         maps, whole = image.tones.maps(filled, image.valid)
-        whole *= np.float32(FULL_SCALE)
+        whole *= np.float32(CORNERS.full_scale)
     elif channels == "gradients":
         maps, whole = oriented_gradients(filled, image.epsilon, smooth_px)
     else:
@@ -125,11 +134,11 @@ def _maps(
         whole = maximum_moment(maps)
     maps, whole = _inside(maps, halo_px), _inside(whole, halo_px)
     gaps = narrow_gaps(image.valid | image.masked)
-    valid, gaps = (_inside(mask, halo_px) for mask in (usable(image.valid, gaps, EDGE_PX), gaps))
-    share = open_share(valid, gaps, FILTERS_REACH_PX)
+    valid, gaps = (_inside(mask, halo_px) for mask in (usable(image.valid, gaps, MAPS.edge_px), gaps))
+    share = open_share(valid, gaps, MAPS.filters_reach_px)
     stack = ChannelMaps(whole[None] if channels == "moment" else maps, valid, share)
     weight = valid.astype(np.float32)
-    return stack, MaskedMap(whole * weight, weight, np.float32(FULL_SCALE))
+    return stack, MaskedMap(whole * weight, weight, np.float32(CORNERS.full_scale))
 
 
 def _used(valid: Bool) -> tuple[slice, slice]:
@@ -137,8 +146,9 @@ def _used(valid: Bool) -> tuple[slice, slice]:
     rows, cols = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return slice(None), slice(None)
-    top, first_col = max(0, rows[0] - FILTERS_REACH_PX), max(0, cols[0] - FILTERS_REACH_PX)
-    return slice(top, rows[-1] + 1 + FILTERS_REACH_PX), slice(first_col, cols[-1] + 1 + FILTERS_REACH_PX)
+    reach = MAPS.filters_reach_px
+    top, first_col = max(0, rows[0] - reach), max(0, cols[0] - reach)
+    return slice(top, rows[-1] + 1 + reach), slice(first_col, cols[-1] + 1 + reach)
 
 
 def _inside(plane: NDArray[Scalar], halo_px: int) -> NDArray[Scalar]:

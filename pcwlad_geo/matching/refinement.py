@@ -200,7 +200,7 @@ def refine(
         iterations=iterations,
         reached_by_px=start.reached_by_px,
         tolerance_px=REFINEMENT.tolerance_px,
-        relaxation=first_relaxation(robust, structure_mode == kernel.STRUCTURE_FOLLOWS),
+        relaxation=first_relaxation(robust, structure_mode == kernel.StructureMode.FOLLOWS),
         least_valid=least_share(float(least_valid), reference.open_share, target.open_share),
         largest_move_px=REFINEMENT.most_move_px,
         blocks=max(4, round(max(sides_px) / REFINEMENT.block_px)),
@@ -212,7 +212,7 @@ def refine(
 
     results = in_threads([partial(refine_some, part) for part in shares(n, threads)], threads)
     shift, linear, covariance, status = map(np.concatenate, zip(*results, strict=True))
-    return Refined(shift, linear, covariance, status == kernel.CONVERGED)
+    return Refined(shift, linear, covariance, status == kernel.Status.CONVERGED)
 
 
 def _images(reference: ChannelMaps, target: ChannelMaps, step_px: int) -> kernel.Images:
@@ -251,9 +251,9 @@ def first_relaxation(robust: bool, structure_follows: bool) -> float:
     )
 
 
-def _structure_mode(start: InitialEstimate, use_structure: bool) -> int:
+def _structure_mode(start: InitialEstimate, use_structure: bool) -> kernel.StructureMode:
     if start.structure is not None:
-        return kernel.STRUCTURE_GIVEN
+        return kernel.StructureMode.GIVEN
     if not use_structure:
-        return kernel.STRUCTURE_NONE
-    return kernel.STRUCTURE_FOLLOWS if start.structure_xy_px is None else kernel.STRUCTURE_FIXED
+        return kernel.StructureMode.NONE
+    return kernel.StructureMode.FOLLOWS if start.structure_xy_px is None else kernel.StructureMode.FIXED

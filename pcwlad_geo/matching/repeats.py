@@ -40,7 +40,7 @@ class RepeatParameters:
     """Least difference of both, times the root of the number of pixels: five sigmas of chance."""
 
 
-PARAMETERS: Final = RepeatParameters()
+REPEATS: Final = RepeatParameters()
 """Those in use."""
 
 
@@ -60,7 +60,7 @@ def rivals_of(reference: Image, target: Image, shift_xy: Float64) -> list[Rival]
     The (2,) `shift_xy` (col, row) is target minus reference array index, px. There are none where the
     reference does not repeat.
     """
-    by = PARAMETERS
+    by = REPEATS
     step = max(1, round(max(reference[1].shape) / by.side_px))
     first = channels_at(*reference, step)
     repeat, rows_cols = _autocorrelation(first), np.array(first.valid.shape)
@@ -113,5 +113,5 @@ def _autocorrelation(image: Channels) -> Float32:
 
     overlap = np.maximum(surface(image.valid), 1.0)
     mean = surface(*np.moveaxis(image.values, 2, 0)) / overlap
-    is_large = overlap >= PARAMETERS.least_overlap * image.valid.sum()
+    is_large = overlap >= REPEATS.least_overlap * image.valid.sum()
     return np.where(is_large, mean / max(float(mean[rows - 1, cols - 1]), 1e-12), 0.0).astype(np.float32)

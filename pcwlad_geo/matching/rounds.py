@@ -24,7 +24,7 @@ class RoundParameters:
     """Least share of them that must do so."""
 
 
-PARAMETERS: Final = RoundParameters()
+ROUNDS: Final = RoundParameters()
 """Those that are used."""
 
 
@@ -38,8 +38,8 @@ def in_rounds(settings: MatchSettings, area_px2: float) -> MatchSettings:
     settings = replace(settings, features=settings.candidates)
     if not is_open or TRAITS[settings.method].structure != "local":
         return settings
-    first = max(PARAMETERS.least, round(area_px2 / PARAMETERS.area_px2))
-    in_two_rounds = first < PARAMETERS.most_share * settings.candidates
+    first = max(ROUNDS.least, round(area_px2 / ROUNDS.area_px2))
+    in_two_rounds = first < ROUNDS.most_share * settings.candidates
     return replace(settings, first_features=first if in_two_rounds else None)
 
 
@@ -48,4 +48,4 @@ def suffice(agreeing: int, candidates: int) -> bool:
 
     They do where most of them agree, in numbers that tell the window and the model of the correction.
     """
-    return agreeing >= max(PARAMETERS.least_agreeing, PARAMETERS.agreeing_share * candidates)
+    return agreeing >= max(ROUNDS.least_agreeing, ROUNDS.agreeing_share * candidates)

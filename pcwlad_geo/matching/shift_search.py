@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.matching.chance import evidence_against_chance
 from pcwlad_geo.matching.channels import Channels, channels_at
 from pcwlad_geo.matching.masked_correlation import peaks_of
-from pcwlad_geo.matching.patches import PARAMETERS as PATCHES
-from pcwlad_geo.matching.patches import Patches
+from pcwlad_geo.matching.patches import PATCHES, Patches
 from pcwlad_geo.types import Bool, Float64
 
 
@@ -36,7 +35,7 @@ class ShiftSearchParameters:
     """Least distinctness of an accepted shift from its best rival."""
 
 
-PARAMETERS: Final = ShiftSearchParameters()
+SHIFT_SEARCH: Final = ShiftSearchParameters()
 """Those that are used."""
 
 
@@ -80,7 +79,7 @@ def search_shift(
     target: NDArray[np.floating[Any]],
     reference_valid: Bool,
     target_valid: Bool,
-    by: ShiftSearchParameters = PARAMETERS,
+    by: ShiftSearchParameters = SHIFT_SEARCH,
 ) -> SearchResult:
     """Find the shift between two images of the same resolution, to about 1 px.
 
@@ -137,8 +136,9 @@ def _vote(reference: Channels, target: Channels, candidate_xy: Float64, by: Shif
     agreeing = patches.displacements_px[patches.agrees]
     middle = np.median(agreeing, axis=0)
     spread = np.percentile(np.hypot(*(agreeing - middle).T), 95)
-    few, counts = patches.count < PATCHES.least, (patches.agreeing, patches.count)
-    significance = 0.0 if few else evidence_against_chance(*counts, by.agreeing_by_chance)
+    significance = 0.0
+    if patches.count >= PATCHES.least:
+        significance = evidence_against_chance(patches.agreeing, patches.count, by.agreeing_by_chance)
     return _Vote(start + middle, float(spread), patches.count, patches.agreeing, significance)
 
 

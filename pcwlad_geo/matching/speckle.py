@@ -50,16 +50,16 @@ class SpeckleParameters:
     """What zeros count as in decibels, as a share of the typical power."""
     taps: tuple[float, float, float] = (0.25, 0.5, 0.25)
     """Weights along each axis with which power is averaged: seven times as many looks."""
+    decibels: tuple[float, float] = (-100.0, 60.0)
+    """Range of the values of backscatter in decibels."""
+    largest_of_a_picture: float = 255.0
+    """Whole numbers up to this are a picture, of unknown tones and clipped: they are taken as they are."""
     border_px: int = 9
     """A block of zeros as wide as this is no water or shadow if zeros lie along the border, too."""
 
 
 SPECKLE: Final = SpeckleParameters()
 """Those in use."""
-DECIBELS: Final = (-100.0, 60.0)
-"""Range of the values of backscatter in decibels."""
-LARGEST_OF_A_PICTURE: Final = 255.0
-"""Whole numbers up to this are a picture, of unknown tones and clipped: they are taken as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ class Speckle:
 def _to_power(values: Floating, form: Form) -> Float64:
     numbers = np.asarray(values, np.float64)
     if form == "decibels":
-        return np.asarray(10.0 ** (np.clip(numbers, *DECIBELS) / 10.0))
+        return np.asarray(10.0 ** (np.clip(numbers, *SPECKLE.decibels) / 10.0))
     positive = np.maximum(numbers, 0.0)
     return positive if form == "power" else np.square(positive)
 
@@ -137,10 +137,10 @@ def find_speckle(samples: Sequence[tuple[Floating, Bool]]) -> Speckle | None:
     low, high = float(windows.min()), float(windows.max())
     forms: tuple[Form, ...] = ("power", "amplitude")
     if low < 0:
-        if low < DECIBELS[0] or high > DECIBELS[1]:
+        if low < SPECKLE.decibels[0] or high > SPECKLE.decibels[1]:
             return None
         forms = ("decibels",)
-    elif high <= LARGEST_OF_A_PICTURE and bool((windows == np.rint(windows)).all()):
+    elif high <= SPECKLE.largest_of_a_picture and bool((windows == np.rint(windows)).all()):
         return None
     looks_by_form = [(_looks_and_skewness(windows, form), form) for form in forms]
     good = [(abs(skewness), looks, form) for (looks, skewness), form in looks_by_form if looks > 0]

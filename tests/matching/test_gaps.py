@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.gaps import GAPS, least_share, narrow_gaps, open_share, usable
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.prepare import EDGE_PX
+from pcwlad_geo.matching.prepare import MAPS
 from pcwlad_geo.matching.shift_search import search_shift
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from tests.matching.landscape import Landscape, constant
@@ -106,7 +106,7 @@ def test_a_gap_is_narrow_wherever_it_lies() -> None:
     valid = np.ones((120, 130), bool)
     valid[10:14], valid[60:63, 50:56], valid[:, 100:114] = False, False, False
     np.testing.assert_array_equal(narrow_gaps(valid), ~valid)
-    np.testing.assert_array_equal(usable(valid, narrow_gaps(valid), EDGE_PX), valid)
+    np.testing.assert_array_equal(usable(valid, narrow_gaps(valid), MAPS.edge_px), valid)
 
 
 def test_a_wide_hole_is_none_nor_is_its_ragged_edge() -> None:
@@ -116,7 +116,7 @@ def test_a_wide_hole_is_none_nor_is_its_ragged_edge() -> None:
     collar[:, :5] = False
     for valid in (ragged, collar):
         assert not narrow_gaps(valid).any()
-        inside = usable(valid, narrow_gaps(valid), EDGE_PX)
+        inside = usable(valid, narrow_gaps(valid), MAPS.edge_px)
         assert inside.sum() < valid.sum()
         assert open_share(inside, narrow_gaps(valid), 64) == 1
 
@@ -156,5 +156,6 @@ def test_an_image_without_gaps_is_matched_as_before() -> None:
     points = matched(NOTHING, hole)
     assert_true(points, 5)
     row, col = (np.floor(points.target_xy_px).astype(int)).T[::-1]
-    near = (row >= 80 - EDGE_PX) & (row < 130 + EDGE_PX) & (col >= 90 - EDGE_PX) & (col < 150 + EDGE_PX)
+    edge_px = MAPS.edge_px
+    near = (row >= 80 - edge_px) & (row < 130 + edge_px) & (col >= 90 - edge_px) & (col < 150 + edge_px)
     assert not near.any()

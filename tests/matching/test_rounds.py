@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching import AUTO_FEATURES
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.rounds import PARAMETERS, in_rounds
+from pcwlad_geo.matching.rounds import ROUNDS, in_rounds
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from tests.matching.landscape import Landscape, constant
 
@@ -50,13 +50,13 @@ def test_where_they_disagree_all_are_matched_as_if_at_once() -> None:
 @pytest.mark.parametrize(
     ("settings", "area_px2", "first"),
     [
-        (AUTO, 200.0**2, PARAMETERS.least),
+        (AUTO, 200.0**2, ROUNDS.least),
         (AUTO, 500.0**2, 250),
         (AUTO, 1000.0**2, None),
         (ALL, 200.0**2, None),
         (replace(AUTO, keypoints="strongest"), 200.0**2, None),
         (replace(AUTO, method="pcwlad"), 200.0**2, None),
-        (replace(AUTO, method="gradient"), 200.0**2, PARAMETERS.least),
+        (replace(AUTO, method="gradient"), 200.0**2, ROUNDS.least),
     ],
 )
 def test_the_first_candidates_follow_from_the_area(

@@ -2,7 +2,7 @@ from functools import cache
 
 import numpy as np
 
-from pcwlad_geo.matching.keypoints import FULL_SCALE
+from pcwlad_geo.matching import keypoints
 from pcwlad_geo.matching.local_correlation import significantly_correlated
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.mutual_structure import mutual_structure, passes_paper, shared_structure
@@ -34,13 +34,13 @@ def refined_at(dx: float, dy: float) -> Refined:
 def test_the_structure_is_that_of_the_displaced_windows() -> None:
     found = shared_structure(pair(), CORNERS, start_at(2.0, -3.0), WINDOW)
     assert found.shape == (3, WINDOW, WINDOW)
-    half = WINDOW // 2
+    half, scale = WINDOW // 2, keypoints.CORNERS.full_scale
     for weight, (row, col) in zip(found, CORNERS, strict=True):
         here = pair().reference.maps[0][row - half : row + half + 1, col - half : col + half + 1]
         there = pair().target.maps[0][
             row - 3 - half : row - 3 + half + 1, col + 2 - half : col + 2 + half + 1
         ]
-        expected = mutual_structure(here / FULL_SCALE, there / FULL_SCALE)[2]
+        expected = mutual_structure(here / scale, there / scale)[2]
         np.testing.assert_allclose(weight, expected, atol=1e-3)
 
 

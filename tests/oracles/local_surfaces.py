@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching.kernels.local_surfaces import LIMITS
+from pcwlad_geo.matching.kernels.local_surfaces import SURFACE_LIMITS as LIMITS
 
 Float64 = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter
 
-from pcwlad_geo.matching.kernels.refinement import LIMITS
+from pcwlad_geo.matching.kernels.refinement import ITERATION_LIMITS as LIMITS
 from pcwlad_geo.matching.refinement import (
     REFINEMENT,
     ChannelMaps,

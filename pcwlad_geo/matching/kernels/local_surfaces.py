@@ -27,7 +27,7 @@ class SurfaceLimits:
     """Least scale of the residuals, which keeps the weights finite where the fit is exact."""
 
 
-LIMITS: Final = SurfaceLimits()
+SURFACE_LIMITS: Final = SurfaceLimits()
 """Those in use."""
 
 
@@ -59,7 +59,7 @@ def fit_surfaces(
     each term.
     """
     n, most = neighbours.shape
-    limits = _SurfaceLimits(*astuple(LIMITS))
+    limits = _SurfaceLimits(*astuple(SURFACE_LIMITS))
     neighbours, usable = np.ascontiguousarray(neighbours, np.int64), np.ascontiguousarray(usable)
 
     def fit_some(part: slice) -> None:

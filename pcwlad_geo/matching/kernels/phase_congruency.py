@@ -23,7 +23,7 @@ ORIENTATIONS: Final = 6
 """Number of orientations of the filters, π / 6 apart."""
 NEGLIGIBLE: Final = 1e-7
 """Transfer that counts as zero, below the rounding of float32."""
-LANES: Final = 8
+ROWS_AT_ONCE: Final = 8
 """Number of rows that are transformed at once, as many as a vector holds; `LANES` of the C."""
 
 
@@ -31,7 +31,7 @@ LANES: Final = 8
 class FilterBank:
     """Transfer functions for images of (n, m) pixels, without negative frequencies along either axis.
 
-    The last axis is that of n, filled up with zeros to a multiple of `LANES`.
+    The last axis is that of n, filled up with zeros to a multiple of `ROWS_AT_ONCE`.
     """
 
     radial: Float32
@@ -69,8 +69,8 @@ def filter_bank(n: int, m: int) -> FilterBank:
 
 
 def filled_up(values: Float32) -> Float32:
-    """Return (…, n) `values` as (…, width), filled up with zeros to a multiple of `LANES`."""
-    width = -(-values.shape[-1] // LANES) * LANES
+    """Return (…, n) `values` as (…, width), filled up with zeros to a multiple of `ROWS_AT_ONCE`."""
+    width = -(-values.shape[-1] // ROWS_AT_ONCE) * ROWS_AT_ONCE
     filled = np.zeros((*values.shape[:-1], width), np.float32)
     filled[..., : values.shape[-1]] = values
     return filled
@@ -136,7 +136,7 @@ def oriented_map(
     n = len(bank.roots) - m
     arrays = [*spectrum, bank.radial, bank.inverse_radius, across, along]
     places = [*(address(array, np.float32) for array in arrays), address(bank.reach, np.int64)]
-    numbers = LANES * max(n, m) * (2 * SCALES + 3) + 2 * (m + 2 * LANES) * int(bank.reach.sum())
+    numbers = ROWS_AT_ONCE * max(n, m) * (2 * SCALES + 3) + 2 * (m + 2 * ROWS_AT_ONCE) * int(bank.reach.sum())
     memory = np.empty(numbers, np.float32)
     function("oriented_map", *2 * [POINTER], *3 * [SINGLE], POINTER, *4 * [WHOLE], POINTER)(
         byref(_Filtered(*places, n, m, width)),

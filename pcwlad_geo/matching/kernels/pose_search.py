@@ -76,7 +76,7 @@ def weigh_by_overlap(scores: Float32, overlaps: Float32, least: float) -> Index:
 
 
 def place_layer(
-    layer: Float32, matrix: Float64, turn_rad: float, usable: Float32, known: Float32, planes: Float32
+    layer: Float32, matrix: Float64, turn_rad: float, usable: Float32, overlap: Float32, planes: Float32
 ) -> None:
     """Place harmonics of the orientations of an image on the cells of another, linear between its pixels.
 
@@ -90,7 +90,7 @@ def place_layer(
         Angle by which the second harmonic is turned.
     usable : (rows, cols) float32 array
         Cells, 1 or 0, that are usable in the other image.
-    known, planes : (rows, cols) and (3, rows, cols) float32 arrays
+    overlap, planes : (rows, cols) and (3, rows, cols) float32 arrays
         Filled with 1 where the layer is usable too, and with its turned harmonics; 0 elsewhere.
     """
     types = POINTER, WHOLE, WHOLE, POINTER, REAL, REAL, POINTER, WHOLE, WHOLE, POINTER, POINTER
@@ -102,6 +102,6 @@ def place_layer(
         math.sin(turn_rad),
         address(usable, np.float32),
         *usable.shape,
-        address(known, np.float32),
+        address(overlap, np.float32),
         address(planes, np.float32),
     )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ctypes import Structure, byref
 from dataclasses import astuple, dataclass, fields
+from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -40,22 +41,39 @@ class IterationLimits:
     """Number of steps after which a window is given up whose slope is below half of `min_slope`."""
 
 
-LIMITS: Final = IterationLimits()
+ITERATION_LIMITS: Final = IterationLimits()
 """Those in use."""
-LANES: Final = 16
+ROW_MULTIPLE: Final = 16
 """A row of a flat window is a multiple of this, so that rows begin on cache lines."""
 EXTRA_TAPS: Final = 3
 """Number of spline coefficients that a window needs beyond its side, per axis."""
-STRUCTURE_NONE: Final = 0
-"""Structure mode: pixels are not weighted by mutual structure."""
-STRUCTURE_FOLLOWS: Final = 1
-"""Structure mode: mutual structure is computed at the current position at every step."""
-STRUCTURE_FIXED: Final = 2
-"""Structure mode: mutual structure is computed once, at the position given for it."""
-STRUCTURE_GIVEN: Final = 3
-"""Structure mode: mutual structure is passed in."""
-CONVERGED: Final = 0
-"""Status of a point: the shift has converged."""
+
+
+class StructureMode(IntEnum):
+    """How pixels are weighted by mutual structure."""
+
+    NONE = 0
+    """They are not."""
+    FOLLOWS = 1
+    """It is computed at the current position at every step."""
+    FIXED = 2
+    """It is computed once, at the position given for it."""
+    GIVEN = 3
+    """It is passed in."""
+
+
+class Status(IntEnum):
+    """How the refinement of a point ends."""
+
+    CONVERGED = 0
+    NOT_CONVERGED = 1
+    """The iterations ended before."""
+    INVALID = 2
+    """The window leaves the image or has too few valid pixels."""
+    DIVERGED = 3
+    """The point moved too far or out of the image, or its equations are singular."""
+    UNDETERMINED = 4
+    """Plain steps hardly shrink on the way, so that the position is not determined."""
 
 
 class Images(NamedTuple):
@@ -91,9 +109,7 @@ class Results(NamedTuple):
     linear: Float64
     covariance: Float64
     status: Int64
-    """(n,) `CONVERGED`; else 1: the iterations ended before, 2: the window leaves the image or has too few
-    valid pixels, 3: the point moved too far or out of the image, or its equations are singular, 4: plain
-    steps hardly shrink on the way, so that the position is not determined."""
+    """(n,) numbers of `Status`."""
 
 
 class RefinementOptions(Structure):
@@ -143,13 +159,13 @@ class _Results(Structure):
 
 def flat_width(extended: int) -> int:
     """Return the number of values in a row of a flat window that is `extended` pixels wide."""
-    return -(-(extended + EXTRA_TAPS) // LANES) * LANES
+    return -(-(extended + EXTRA_TAPS) // ROW_MULTIPLE) * ROW_MULTIPLE
 
 
 def refine_points(images: Images, starts: Starts, options: RefinementOptions) -> Results:
     """Refine every corner of `starts` on the maps of `images`.
 
-    Points whose window is not usable keep zeros and the status 2.
+    Points whose window is not usable keep zeros and `Status.INVALID`.
     """
     n = len(starts.corners_rc)
     results = Results(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros((n, 2, 2)), np.zeros(n, np.int64))
@@ -161,7 +177,7 @@ def refine_points(images: Images, starts: Starts, options: RefinementOptions) ->
         *images.coefficients.shape[1:],
         images.target_valid.shape[1],
     )
-    limits = _Limits(*astuple(LIMITS))
+    limits = _Limits(*astuple(ITERATION_LIMITS))
     numbers = function("refinement_memory", POINTER, POINTER, returns=WHOLE)(byref(maps), byref(options))
     memory, scores = np.zeros(numbers or 0, np.float32), np.zeros((options.blocks**2, 2))
     function("refine_points", *7 * [POINTER])(

@@ -65,10 +65,10 @@ def _tilted_plane(pair: ViewPair, matrix: Float64) -> TiltedGrid | None:
         return None
     places = grid.lattice_px(9)
     middle_xy = onto.to_xy(onto.middle_px)
-    back, _ = cv2.findHomography(_posed_xy(places, grid, pair, matrix) - middle_xy, places)
-    if back is None:
+    homography, _ = cv2.findHomography(_posed_xy(places, grid, pair, matrix) - middle_xy, places)
+    if homography is None:
         raise InputError("the pose places the target on a line")
-    tilt = (-back[2, :2] / back[2, 2]).tolist()
+    tilt = (-homography[2, :2] / homography[2, 2]).tolist()
     return TiltedGrid(grid.shape, Affine.identity(), onto.crs, tuple(middle_xy[0].tolist()), tuple(tilt))
 
 
@@ -78,9 +78,11 @@ def _posed_xy(places: Float64, grid: Grid, pair: ViewPair, matrix: Float64) -> F
     Raises `InputError` where there are none.
     """
     target_px = map_px(places, grid, pair.target.grid)
-    back = inverse(matrix)
-    tilted = matrix[2, :2].any()
-    view_px = ProjectiveCorrection("", back).forward(target_px) if tilted else mapped(back, target_px)
+    to_reference = inverse(matrix)
+    if matrix[2, :2].any():
+        view_px = ProjectiveCorrection("", to_reference).forward(target_px)
+    else:
+        view_px = mapped(to_reference, target_px)
     reference_px = pair.reference.to_file_px(view_px)
     if not np.isfinite(reference_px).all():
         raise InputError("the pose places the target where the CRS of the reference is not defined")
