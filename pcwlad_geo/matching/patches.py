@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pcwlad_geo.estimation.transforms import mapped, similarity_between
 from pcwlad_geo.matching.channels import Channels
 from pcwlad_geo.matching.coarse import parabola_offset
-from pcwlad_geo.matching.transforms import mapped, similarity_between
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 

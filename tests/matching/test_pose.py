@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.estimation.transforms import inverse_of_step, square
 from pcwlad_geo.matching.grey_values import GREY
 from pcwlad_geo.matching.pose import search as pose_search
 from pcwlad_geo.matching.pose.ascent import Ascent
@@ -27,7 +28,6 @@ from pcwlad_geo.matching.pose.patch_votes import VotingPatches
 from pcwlad_geo.matching.pose.proposal import PoseProposal
 from pcwlad_geo.matching.pose.resampling import warped
 from pcwlad_geo.matching.pose.search import search_pose
-from pcwlad_geo.matching.transforms import inverse_of_step, square
 from tests.matching.test_global_search import cover, modality
 
 SIDE_PX = 300

@@ -19,7 +19,7 @@ STILL_INNER = {
         fill_smoothly global_affine in_rounds in_threads jitter_px margin_px matched_again narrow_gaps
         noise_level predict prepare refine to_index try_again window_sample
 
-        GREY Noise PoseProposal POSE Rival SearchResult Tones evidence_against_chance mapped
+        GREY Noise PoseProposal POSE Rival SCALES SearchResult Tones evidence_against_chance
         mean_distance_px noise_of_samples of_whole_image poses_by_grey_values rivals_of rounding_of
         scene_epsilon search_pose without_speckle
 

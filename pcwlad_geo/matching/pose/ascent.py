@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from pcwlad_geo.estimation.solving import inverse, solve
+from pcwlad_geo.estimation.transforms import affine_matrix, inverse_of_step, rotation, scale_of
 from pcwlad_geo.matching.kernels.pose_search import LAYER_HARMONICS, place_layer
 from pcwlad_geo.matching.pose.distances import distinct_poses
 from pcwlad_geo.matching.pose.image import Layer, PoseImage
 from pcwlad_geo.matching.pose.parameters import PoseParameters
 from pcwlad_geo.matching.pose.proposal import PoseProposal, evidence_of_ratio
 from pcwlad_geo.matching.pose.structure import Scan, distinct_trials
-from pcwlad_geo.matching.transforms import affine_matrix, inverse_of_step, rotation, scale_of
 from pcwlad_geo.types import Float32, Float64
 
 

@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
+from pcwlad_geo.estimation.transforms import affine_matrix
 from pcwlad_geo.matching.pose.ascent import Ascent
 from pcwlad_geo.matching.pose.dependence import GreyDependence
 from pcwlad_geo.matching.pose.image import PoseImage
 from pcwlad_geo.matching.pose.parameters import PoseParameters
-from pcwlad_geo.matching.transforms import affine_matrix
 from pcwlad_geo.types import Float64
 
 _AFFINE_CHANGES: Final = np.eye(6).reshape(6, 2, 3)[[2, 5, 0, 4, 1, 3]]

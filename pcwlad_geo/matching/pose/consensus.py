@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcwlad_geo.estimation.solving import least_squares, solve
+from pcwlad_geo.estimation.transforms import affine_matrix, mapped, similarity_between
 from pcwlad_geo.matching.pose.parameters import ConsensusParameters
-from pcwlad_geo.matching.transforms import affine_matrix, mapped, similarity_between
 from pcwlad_geo.types import Bool, Float64
 
 

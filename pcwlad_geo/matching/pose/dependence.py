@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import scale_of
 from pcwlad_geo.matching.grey_values import Ranks, local_deviation
 from pcwlad_geo.matching.pose.image import PoseImage
 from pcwlad_geo.matching.pose.parameters import PoseParameters
 from pcwlad_geo.matching.pose.resampling import shrunk
-from pcwlad_geo.matching.transforms import scale_of
 from pcwlad_geo.types import Bool, Float32, Float64
 
 

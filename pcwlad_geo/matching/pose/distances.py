@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pcwlad_geo.matching.transforms import scale_of
+from pcwlad_geo.estimation.transforms import scale_of
 from pcwlad_geo.types import Float64
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import square
 from pcwlad_geo.matching.channels import normalised_channels
 from pcwlad_geo.matching.masked_correlation import ratio_in_place
 from pcwlad_geo.matching.patches import Patches
@@ -14,7 +15,6 @@ from pcwlad_geo.matching.pose.image import PoseImage
 from pcwlad_geo.matching.pose.parameters import PoseParameters
 from pcwlad_geo.matching.pose.proposal import PoseProposal, combined_evidence
 from pcwlad_geo.matching.pose.resampling import shrunk, warped_image
-from pcwlad_geo.matching.transforms import square
 from pcwlad_geo.types import Float32, Float64
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+from pcwlad_geo.estimation.transforms import square
 from pcwlad_geo.matching.pose.ascent import Ascent
 from pcwlad_geo.matching.pose.climb import JointScore
 from pcwlad_geo.matching.pose.comparisons import GreyComparison
@@ -13,7 +14,6 @@ from pcwlad_geo.matching.pose.parameters import PoseParameters
 from pcwlad_geo.matching.pose.patch_votes import VotingPatches, is_within, voted_pose
 from pcwlad_geo.matching.pose.proposal import PoseProposal, combined_evidence
 from pcwlad_geo.matching.pose.search import PoseSearch
-from pcwlad_geo.matching.transforms import square
 from pcwlad_geo.types import Float64
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from pcwlad_geo.estimation.transforms import shift
 from pcwlad_geo.matching.pose.consensus import Votes
 from pcwlad_geo.matching.pose.parameters import ConsensusParameters
-from pcwlad_geo.matching.transforms import shift
 from pcwlad_geo.types import Bool, Float64
 
 

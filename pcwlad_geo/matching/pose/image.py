@@ -16,12 +16,12 @@ import numpy as np
 import scipy.fft
 
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import affine_matrix, rotation, scale_of
 from pcwlad_geo.matching.channels import normalised_channels
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
 from pcwlad_geo.matching.kernels.pose_search import LAYER_HARMONICS, MASK_STEP
 from pcwlad_geo.matching.pose.parameters import POSE, StructureParameters
 from pcwlad_geo.matching.pose.resampling import shrunk, warped
-from pcwlad_geo.matching.transforms import affine_matrix, rotation, scale_of
 from pcwlad_geo.types import Bool, Float32, Float64
 
 _ROOT_2 = math.sqrt(2.0)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import mapped, scale_at, scale_of, square
 from pcwlad_geo.matching.patches import window_sums
 from pcwlad_geo.matching.pose.comparisons import Comparison, StructureComparison
 from pcwlad_geo.matching.pose.consensus import Votes, affine_consensus, similarity_if_as_good
@@ -20,7 +21,6 @@ from pcwlad_geo.matching.pose.image import PoseImage
 from pcwlad_geo.matching.pose.parameters import PoseParameters
 from pcwlad_geo.matching.pose.proposal import PoseProposal
 from pcwlad_geo.matching.pose.resampling import shrunk, warped_image
-from pcwlad_geo.matching.transforms import mapped, scale_at, scale_of, square
 from pcwlad_geo.types import Float32, Float64
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pcwlad_geo.estimation.transforms import scale_of
 from pcwlad_geo.matching.pose.parameters import POSE, EvidenceParameters
-from pcwlad_geo.matching.transforms import scale_of
 from pcwlad_geo.types import Float64
 
 

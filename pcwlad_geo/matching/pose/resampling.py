@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pcwlad_geo.matching.transforms import affine_matrix, shift
+from pcwlad_geo.estimation.transforms import affine_matrix, shift
 from pcwlad_geo.types import Bool, Float32, Float64
 
 
@@ -28,9 +28,9 @@ def shrunk(values: Float32, valid: Bool, factor: float) -> tuple[Float32, Bool, 
 
 
 def warped(planes: Float32, matrix: Float64, shape: tuple[int, int]) -> Float32:
-    """Warp planes, (rows, cols) or (rows, cols, n), by a (3, 3) affine `matrix` to px of the new `shape`.
+    """Return `planes`, (rows, cols, n) or (rows, cols), warped by a (3, 3) affine `matrix` onto a `shape`.
 
-    The result is of that shape, linear between the pixels: (rows, cols) or (rows, cols, n).
+    The result has that shape, and n planes, (rows, cols, n), or one, (rows, cols); it is linear between px.
     """
     return np.asarray(cv2.warpAffine(planes, matrix[:2], shape[::-1], flags=cv2.INTER_LINEAR), np.float32)
 

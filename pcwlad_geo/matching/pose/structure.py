@@ -14,11 +14,11 @@ import numpy as np
 import scipy.fft
 
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import rotation, shift
 from pcwlad_geo.matching.kernels.pose_search import MASK_STEP, cross_spectra, weigh_by_overlap
 from pcwlad_geo.matching.pose.distances import distinct_poses
 from pcwlad_geo.matching.pose.image import Cells, PoseImage
 from pcwlad_geo.matching.pose.parameters import StructureParameters
-from pcwlad_geo.matching.transforms import rotation, shift
 from pcwlad_geo.types import Float32, Float64
 
 

@@ -11,7 +11,7 @@ from affine import Affine
 from pcwlad_geo.correction.models import ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.matching.transforms import affine_matrix, mapped
+from pcwlad_geo.estimation.transforms import affine_matrix, mapped
 from pcwlad_geo.raster.grid import Grid, TiltedGrid, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc.grid import RpcGrid

@@ -10,13 +10,13 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import scale_of, square
 from pcwlad_geo.matching import search_shift
 from pcwlad_geo.matching.pose.grey_search import poses_by_grey_values
 from pcwlad_geo.matching.pose.parameters import POSE
 from pcwlad_geo.matching.pose.proposal import PoseProposal
 from pcwlad_geo.matching.pose.search import search_pose
 from pcwlad_geo.matching.shift_search import SearchResult
-from pcwlad_geo.matching.transforms import scale_of, square
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.cameras import expected_scale, guessed_scale
 from pcwlad_geo.raster.matching_grid import ViewPair

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.matching.transforms import square
+from pcwlad_geo.estimation.transforms import square
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import Patch
 from pcwlad_geo.registration.starts.alignment import StartingAlignment
