@@ -17,9 +17,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
-from pcwlad_geo.multi.qa_result import QaNumbers
-from pcwlad_geo.multi.stack_numbers import StackNumbers
-from pcwlad_geo.multi.watch import WatchNumbers
+from pcwlad_geo.multi.qa.numbers import QaNumbers
+from pcwlad_geo.multi.stack.numbers import StackNumbers
+from pcwlad_geo.multi.watch.numbers import WatchNumbers
 from pcwlad_geo.options import OPTIONS, Settings
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.registration import Prealignment

@@ -45,10 +45,10 @@ OPTIONS: Final = ("--features", "40", "--window", "41", "--template", "61", "--m
 RUNNING: Final = ("--jobs", "1", "--progress", "none")
 LOADED: Final = (
     "pcwlad_geo.band_warping",
-    "pcwlad_geo.multi.batches",
+    "pcwlad_geo.multi.batch.run",
     "pcwlad_geo.cli.app",
     "pcwlad_geo.registration.run",
-    "pcwlad_geo.multi.stack",
+    "pcwlad_geo.multi.stack.run",
     "pcwlad_geo.report.figures",
     "pcwlad_geo.report.page",
     "pcwlad_geo.job",

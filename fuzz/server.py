@@ -67,8 +67,8 @@ def warm_up() -> bytes:
     import pcwlad_geo.__main__
     import pcwlad_geo.band_warping
     import pcwlad_geo.cli.app
-    import pcwlad_geo.multi.batches
-    import pcwlad_geo.multi.trend
+    import pcwlad_geo.multi.batch.run
+    import pcwlad_geo.multi.watch.trend
     from pcwlad_geo.report import page
 
     with contextlib.redirect_stdout(io.StringIO()):  # what the command line itself loads

@@ -14,9 +14,9 @@ from typing import Final
 from fuzz.kept import seed
 from pcwlad_geo.cli.options import collect
 from pcwlad_geo.errors import PcwladGeoError
-from pcwlad_geo.multi.bands import parse_bands, split_bands
-from pcwlad_geo.multi.batches import read_pairs
-from pcwlad_geo.multi.qa_result import read_requirement
+from pcwlad_geo.multi.batch.table import read_pairs
+from pcwlad_geo.multi.qa.bands import parse_bands, split_bands
+from pcwlad_geo.multi.qa.requirements import read_requirement
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.raster.rpc.files import parse_rpc_text

@@ -17,15 +17,17 @@ from .execution.runner import Runner
 from .job import match_files, prove, register
 from .matching.matcher import match_arrays
 from .matching.types import MatchSettings, TiePoints
-from .multi.bands import PairResult
-from .multi.batches import BatchResult, batch
-from .multi.cycles import StackQuality
-from .multi.qa import qa
-from .multi.qa_result import QaResult
-from .multi.stack import stack, stack_add
-from .multi.stack_pairs import StackPair
-from .multi.stack_result import Stack, StackImage
-from .multi.watch import WatchNumbers, watch
+from .multi.batch.run import BatchResult, batch
+from .multi.qa.band_pairs import PairResult
+from .multi.qa.numbers import QaResult
+from .multi.qa.run import qa
+from .multi.stack.adding import stack_add
+from .multi.stack.pair import StackPair
+from .multi.stack.quality import StackQuality
+from .multi.stack.result import Stack, StackImage
+from .multi.stack.run import stack
+from .multi.watch.numbers import WatchNumbers
+from .multi.watch.run import watch
 from .options import Options, PairOptions, Settings
 from .raster.arrays import DataArrayLike, Raster, RasterLike
 from .raster.grid import Grid

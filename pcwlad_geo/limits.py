@@ -91,6 +91,10 @@ XMP_BYTES: Final = 2**20
 """Largest XMP packet of a raster that is parsed; those of cameras have some kB."""
 BATCH_ROWS: Final = 100_000
 """Largest number of pairs of a batch table."""
+RIG_LENSES: Final = 16
+"""Largest number of lenses of a rig."""
+RIG_FRAMES: Final = 100_000
+"""Largest number of frames of a run of a rig."""
 TREND_FIGURES: Final = 100_000
 """Largest number of pairs in the reports of a trend; each is drawn."""
 OPTIONS_BYTES: Final = 2**14

@@ -118,8 +118,20 @@ class Requirement:
 
 
 @dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure that a requirement limits."""
+
+    value: float | str | None
+    """In the unit of the requirement; None if it is not known."""
+    reason: str | None = None
+    """Why it is not known."""
+    doubt: str | None = None
+    """What contradicts accurate tie points, of which errors and sigmas are no evidence then."""
+
+
+@dataclass(frozen=True, slots=True)
 class RequirementResult:
-    """The evaluation of a requirement on a single pair."""
+    """The evaluation of a requirement on a figure."""
 
     requirement: Requirement
     value: float | str | None
@@ -147,6 +159,17 @@ class RequirementResult:
             found += f" at the {self.requirement.group or 'check'} points"
         found += f"; {self.caveat}" if self.caveat else ""
         return f"{self.requirement.text}: {'met' if self.met else 'not met'} ({found})"
+
+
+def judge(requirement: Requirement, figure: Figure) -> RequirementResult:
+    """Compare a figure with a requirement: one of errors or sigmas, if it is met, carries the doubt."""
+    doubtful = figure.doubt and tells_accuracy(requirement) and requirement.is_met(figure.value)
+    return RequirementResult(requirement, figure.value, figure.reason, figure.doubt if doubtful else None)
+
+
+def all_met(results: Sequence[RequirementResult]) -> bool | None:
+    """Return whether all requirements are met; None without requirements."""
+    return all(result.met for result in results) if results else None
 
 
 def tells_accuracy(requirement: Requirement) -> bool:

@@ -13,7 +13,7 @@ BLANK = "no picture"
 @contextmanager
 def no_pictures() -> Iterator[None]:
     """Leave figures and views out of the pages that this process writes, for tests that ask for none."""
-    from pcwlad_geo.multi import pages  # slow to load
+    from pcwlad_geo.multi.stack import page as stack_page  # slow to load
     from pcwlad_geo.report import figures, page
 
     with pytest.MonkeyPatch.context() as patch:
@@ -21,7 +21,7 @@ def no_pictures() -> Iterator[None]:
             if name.endswith("_figure"):
                 patch.setattr(figures, name, lambda *_, **__: BLANK)
         patch.setattr(figures, "motion_figure", lambda *_, **__: (BLANK, (0.0, 0.0, 1.0, 1.0)))
-        for module in (page, pages):
+        for module in (page, stack_page):
             patch.setattr(module, "pair_views", lambda *_, **__: [])
         yield
 

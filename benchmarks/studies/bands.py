@@ -12,7 +12,8 @@ from pathlib import Path
 import pcwlad_geo
 from benchmarks.runs import Runner
 from benchmarks.tables import Cell, Check, Table, at_most
-from pcwlad_geo.multi.bands import PairResult, Triangle
+from pcwlad_geo.multi.qa.band_pairs import PairResult
+from pcwlad_geo.multi.qa.closure import Triangle
 
 APART_PX = 0.05
 CLOSES_PX = 0.05

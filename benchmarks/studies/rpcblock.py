@@ -15,7 +15,7 @@ import pcwlad_geo
 from benchmarks.runs import Array, Runner
 from benchmarks.studies.rpc_pair import WINDOW_PX, phase_shifts, summary
 from benchmarks.tables import Cell, Check, Table, at_most
-from pcwlad_geo.multi.stack_result import Stack
+from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.raster.grid import jacobian
 from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
 from pcwlad_geo.raster.rpc.grid import at_mean_height

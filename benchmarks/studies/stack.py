@@ -16,12 +16,12 @@ from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Table, at_least, at_most
 from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.execution.workers import open_runner
-from pcwlad_geo.multi.adjustment import Adjustment, adjust
-from pcwlad_geo.multi.network import Edge
-from pcwlad_geo.multi.pair_choice import additional_pairs, candidates, choose_pairs, read_overview
-from pcwlad_geo.multi.stack_frame import StackFrame
-from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_pairs import measure
+from pcwlad_geo.multi.stack.adjustment import Adjustment, adjust
+from pcwlad_geo.multi.stack.edges import Edge
+from pcwlad_geo.multi.stack.frame import StackFrame
+from pcwlad_geo.multi.stack.inputs import StackInput
+from pcwlad_geo.multi.stack.pair_choice import additional_pairs, candidates, choose_pairs, read_overview
+from pcwlad_geo.multi.stack.pairs import edges_of, measure
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import describe
@@ -63,10 +63,10 @@ def stack(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
     chosen = choose_pairs(found, IMAGES)
     with open_runner(None, _ignore, jobs=runner.processes) as pool:
         measured = list(measure(frame, chosen, scratch / "out", Settings(), False, _ignore, pool))
-        edges = [edge for edge, _ in measured if edge is not None]
+        edges = edges_of(measured)
         more = additional_pairs(frame, found, chosen, edges, adjust(edges, IMAGES))
         measured += measure(frame, more, scratch / "out", Settings(), False, _ignore, pool)
-    edges = [edge for edge, _ in measured if edge is not None]
+    edges = edges_of(measured)
     kept, unused = _set_apart(edges, rng)
     spoiled, wrong = _spoil(kept, rng)
     adjusted = adjust(spoiled, IMAGES)
@@ -117,7 +117,7 @@ def _bands(data: Path, scratch: Path, runner: Runner) -> Table:
     chosen = list(combinations(range(len(inputs)), 2))
     with open_runner(None, _ignore, jobs=runner.processes) as pool:
         measured = list(measure(frame, chosen, scratch / "bands", Settings(), False, _ignore, pool))
-    edges = [edge for edge, _ in measured if edge is not None]
+    edges = edges_of(measured)
     left: list[Array] = []
     rows: list[list[Cell]] = []
     for turn in range(TURNS):  # each pair is set apart once
@@ -171,7 +171,7 @@ def _placed(
     frame: StackFrame, truths: Sequence[Truth], found: Adjustment, edges: Sequence[Edge], refused: int
 ) -> Table:
     """Compare every image with the truth, and with the best single path of pairs in use."""
-    good = [edge for edge, fit in zip(edges, found.edges, strict=True) if fit.used]
+    good = [edge for edge, fit in zip(edges, found.edges, strict=True) if fit.in_use]
     paths = _paths(good)
     rows: list[list[Cell]] = []
     errors, chained, ratios = [], [], []
@@ -235,7 +235,7 @@ def _of_edge(edge: Edge, forward: bool, xy: Array) -> Array:
 
 def _checked(found: Adjustment, wrong: set[int], unused: Sequence[Edge]) -> Table:
     """Compare the pairs left out with those spoiled, and pairs that took no part with the result."""
-    out = {number for number, fit in enumerate(found.edges) if not fit.used}
+    out = {number for number, fit in enumerate(found.edges) if not fit.in_use}
     left = [_misclosure(found, edge) for edge in unused]
     closure = float(np.sqrt(np.mean(np.square(left)) * 2))
     checks = [

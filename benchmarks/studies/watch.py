@@ -16,9 +16,9 @@ from benchmarks.runs import Array, Runner
 from benchmarks.speed_studies.processes import measure
 from benchmarks.tables import Table, at_least, at_most
 from pcwlad_geo.estimation.time_series import SeriesModel, analyse
-from pcwlad_geo.multi.ground_motion import GroundMotion
-from pcwlad_geo.multi.pair_choice import Candidate, choose_pairs
-from pcwlad_geo.multi.watch import watch
+from pcwlad_geo.multi.stack.pair_choice import Candidate, choose_pairs
+from pcwlad_geo.multi.watch.ground_motion import GroundMotion
+from pcwlad_geo.multi.watch.run import watch
 from tests.multi.watched import REGION, SIDE, Dated, make_stack
 
 SEED: Final = 32

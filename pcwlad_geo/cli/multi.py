@@ -18,9 +18,9 @@ from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
-    from pcwlad_geo.multi.batches import BatchResult
-    from pcwlad_geo.multi.stack_result import Stack, StackImage
-    from pcwlad_geo.multi.watch import WatchNumbers
+    from pcwlad_geo.multi.batch.run import BatchResult
+    from pcwlad_geo.multi.stack.result import Stack, StackImage
+    from pcwlad_geo.multi.watch.numbers import WatchNumbers
 
 STATUS_OF = {
     "failed": UNEXPECTED,
@@ -52,7 +52,8 @@ def batch(context: typer.Context, pairs: PairTable, out_dir: o.OutDir = None) ->
 def _batch(params: Mapping[str, Any], folders: list[Path], on_event: EventCallback) -> Ending:
     settings = collect(params, params["config"])
     Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
-    from pcwlad_geo.multi.batches import batch, batch_folder, read_pairs
+    from pcwlad_geo.multi.batch.run import batch, batch_folder
+    from pcwlad_geo.multi.batch.table import read_pairs
 
     table_of_pairs, out_dir = params["pairs"], batch_folder(params["pairs"], params["out_dir"])
     folders += [pair.out_dir for pair in read_pairs(table_of_pairs, out_dir, settings)]
@@ -173,7 +174,7 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
     if params["add"]:
         return _added(params, settings, on_event)
-    from pcwlad_geo.multi.stack import stack
+    from pcwlad_geo.multi.stack.run import stack
 
     found = stack(
         params["images"],
@@ -203,7 +204,7 @@ def _added(params: Mapping[str, Any], settings: dict[str, Any], on_event: EventC
         if params[name]:
             option = name.replace("_", "-")
             raise SettingsError(f"--{option} is a matter of the whole stack: leave it out with --add")
-    from pcwlad_geo.multi.stack import stack_add
+    from pcwlad_geo.multi.stack.adding import stack_add
 
     return _ending(stack_add(params["add"], params["images"][0], on_event=on_event, **settings))
 
@@ -219,8 +220,8 @@ def _abandon_stack(out_dir: str | Path | None) -> None:
 
 
 def _ending(found: Stack) -> Ending:
-    from pcwlad_geo.multi.stack_numbers import NUMBERS, PAGE, TABLE  # slow to load, unless there is a result
-    from pcwlad_geo.multi.stack_pairs import PairStatus
+    from pcwlad_geo.multi.stack.numbers import NUMBERS, PAGE, TABLE  # slow to load, unless there is a result
+    from pcwlad_geo.multi.stack.pair import PairStatus
 
     counts = {status: sum(pair.status == status for pair in found.pairs) for status in get_args(PairStatus)}
     status = InputError.exit_status if found.unreadable else 0
@@ -303,14 +304,15 @@ def _watch(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     settings = collect(params, params["config"])
     requirements = settings.pop("require", None) or ()
     Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
-    from pcwlad_geo.multi.watch import NAMES, watch, watch_folder
+    from pcwlad_geo.multi.watch.page import NAMES
+    from pcwlad_geo.multi.watch.run import watch, watch_folder
     from pcwlad_geo.outputs.folder import check_output_folder
     from pcwlad_geo.requirements import parse_requirements
 
     parse_requirements(requirements, "watch")
     status = 0
     if params["add"]:  # after what can be checked, as it takes its time and changes the stack
-        from pcwlad_geo.multi.stack import stack_add
+        from pcwlad_geo.multi.stack.adding import stack_add
 
         folder = watch_folder(params["stack"], params["out_dir"])
         check_output_folder(folder, params["overwrite"], NAMES["numbers"])
@@ -333,7 +335,8 @@ def _watch(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 def _watch_ending(found: WatchNumbers, params: Mapping[str, Any], added: int) -> Ending:
     """Return the ending; its status is that of the image `added` where the requirements are met."""
-    from pcwlad_geo.multi.watch import NAMES, findings, watch_folder
+    from pcwlad_geo.multi.watch.page import NAMES, findings
+    from pcwlad_geo.multi.watch.run import watch_folder
 
     folder = watch_folder(params["stack"], params["out_dir"])
     status = RequirementError.exit_status if found.passed is False else added
@@ -363,7 +366,7 @@ def _watch_ending(found: WatchNumbers, params: Mapping[str, Any], added: int) ->
 
 
 def _abandon_watch(params: Mapping[str, Any]) -> None:
-    from pcwlad_geo.multi.watch import watch_folder
+    from pcwlad_geo.multi.watch.run import watch_folder
     from pcwlad_geo.outputs.folder import abandon
 
     abandon(watch_folder(params["stack"], params["out_dir"]))

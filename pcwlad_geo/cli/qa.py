@@ -18,9 +18,11 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
-    from pcwlad_geo.multi.bands import PairResult, Triangle
-    from pcwlad_geo.multi.qa_result import Judged, QaResult
-    from pcwlad_geo.multi.trend import Trend
+    from pcwlad_geo.multi.qa.band_pairs import PairResult
+    from pcwlad_geo.multi.qa.closure import Triangle
+    from pcwlad_geo.multi.qa.numbers import QaResult
+    from pcwlad_geo.multi.qa.requirements import Judged
+    from pcwlad_geo.multi.watch.trend_page import Trend
 
 HEADER: Final = ("pair (reference – target)", "n", "mean px", "LE90 px", "CE90 px", "net", "CE90 m", "")
 """Header of the table of pairs."""
@@ -43,7 +45,7 @@ def stack_text(result: QaResult) -> str:
 
 def outcome_of(result: QaResult) -> dict[str, object]:
     """Return the values of the result event."""
-    from pcwlad_geo.multi.qa import NAMES  # slow to load, unless there is a result
+    from pcwlad_geo.multi.qa.run import NAMES  # slow to load, unless there is a result
 
     names = {kind: name for kind, name in NAMES.items() if kind != "pdf" or result.settings.pdf}
     return {
@@ -175,7 +177,7 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         raise SettingsError("no raster: give two or more, one with several bands, or --trend DIR")
     settings = collect(params, params["config"])
     Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
-    from pcwlad_geo.multi.qa import qa
+    from pcwlad_geo.multi.qa.run import qa
 
     result = qa(
         params["rasters"],
@@ -209,7 +211,7 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
             raise SettingsError(
                 f"--trend takes no --{name.replace('_', '-')}: it repeats what the reports say"
             )
-    from pcwlad_geo.multi.trend import trend
+    from pcwlad_geo.multi.watch.trend import trend
 
     return _trend_ending(
         trend(params["trend"], out_dir=params["out_dir"], overwrite=params["overwrite"], on_event=on_event)
@@ -230,10 +232,10 @@ def _abandon(params: Mapping[str, Any]) -> None:
     from pcwlad_geo.outputs.folder import abandon
 
     if params["trend"] is not None:
-        from pcwlad_geo.multi.trend import trend_folder
+        from pcwlad_geo.multi.watch.trend import trend_folder
 
         abandon(trend_folder(params["trend"], params["out_dir"]))
     elif params["rasters"]:
-        from pcwlad_geo.multi.qa import qa_folder
+        from pcwlad_geo.multi.qa.run import qa_folder
 
         abandon(qa_folder(params["rasters"], params["out_dir"]))

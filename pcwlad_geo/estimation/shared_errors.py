@@ -13,7 +13,7 @@ from pcwlad_geo.types import Float64
 CELLS_PER_WINDOW = 6
 """Number of ground cells along the side of a window; windows that cover a cell share its errors."""
 PROBE_NUMBERS = 32_000
-"""Wanted total of random signs, points times vectors, that estimate a trace."""
+"""RequestedBand total of random signs, points times vectors, that estimate a trace."""
 MIN_PROBES, MAX_PROBES = 8, 64
 """Least and largest number of vectors of random signs."""
 BATCH = 16

@@ -25,11 +25,11 @@ from scipy import sparse
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import huber, sigma_of
 from pcwlad_geo.estimation.solving import NormalEquations, inverse, solve
-from pcwlad_geo.rigs.lens import LensModel, project, rays
+from pcwlad_geo.rigs.lens import LENS_PARAMETERS, LensModel, project, rays
 from pcwlad_geo.rigs.parameters import ADJUSTMENT
 from pcwlad_geo.types import Bool, Float64, Index
 
-LENS_SIZE: Final = 8
+LENS_SIZE: Final = len(LENS_PARAMETERS)
 """Number of parameters of a lens, see `rig.LENS_PARAMETERS`."""
 POSE_SIZE: Final = 6
 """Number of parameters of a pose: rotation vector and baseline."""

@@ -24,6 +24,7 @@ from pcwlad_geo.rigs.applying import CaptureOutcome, correct_capture
 from pcwlad_geo.rigs.capture_raster import CAPTURE_TAG, CaptureTask
 from pcwlad_geo.rigs.captures import Capture, find_frames, group
 from pcwlad_geo.rigs.learning_run import checked_jobs
+from pcwlad_geo.rigs.parameters import CAPTURE, CaptureParameters
 from pcwlad_geo.rigs.rig import Rig
 from pcwlad_geo.text import csv_of, joined, mismatch, read_json
 from pcwlad_geo.types import PathLike
@@ -32,8 +33,6 @@ SUMMARY: Final = "summary.csv"
 """A line for each capture."""
 NUMBERS: Final = "rig_apply.json"
 """The same with what is needed to go on where a run was stopped."""
-CHUNK: Final = 16
-"""Captures for each process between two updates of the summary."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,9 +150,10 @@ def _apply(
     runner: Runner,
     on_event: EventCallback,
     write_summary: Callable[[], None],
+    parameters: CaptureParameters = CAPTURE,
 ) -> None:
     """Correct captures, and write the summary after each part of them."""
-    chunk = CHUNK * available_cores()
+    chunk = parameters.captures_a_core * available_cores()
     for begin in range(0, len(tasks), chunk):
         part = tasks[begin : begin + chunk]
 

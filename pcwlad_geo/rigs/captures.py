@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.limits import RIG_FRAMES
 from pcwlad_geo.raster.cameras import camera_of, exif_of, xmp_of
 from pcwlad_geo.raster.file_tree import is_folder, plain_name
 from pcwlad_geo.raster.opening import open_raster
@@ -27,10 +28,6 @@ PATTERN: Final = r"(?P<capture>.+?)[_-](?P<lens>\d{1,2}|[A-Za-z][A-Za-z0-9]{0,9}
 """Of a frame's name without its ending: IMG_0001_5, IMG_160101_0000_GRE, DJI_20230101_0001_MS_NIR."""
 CAPTURE_IDS: Final = ("CaptureId", "CaptureUUID")
 """Names in XMP, of any namespace, that are equal in the frames of one capture."""
-MAX_LENSES: Final = 16
-"""Largest number of lenses of a rig."""
-MAX_FRAMES: Final = 100_000
-"""Largest number of frames of one call."""
 _OF_THE_LENS: Final = re.compile(
     "Distortion|PrincipalPoint|FocalLength|Vignetting|Dewarp|OpticalCenter|ModelType|Fisheye"
     "|CaptureId|CaptureUUID|BandName|CentralWavelength|WavelengthFWHM"
@@ -102,8 +99,8 @@ def find_frames(captures: Iterable[PathLike]) -> list[Path]:
             files.append(place)
         else:
             raise InputError(f"{place} does not exist: give frames, or folders of frames")
-        if len(files) > MAX_FRAMES:
-            raise InputError(f"there are more than {MAX_FRAMES} frames: give fewer folders at a time")
+        if len(files) > RIG_FRAMES:
+            raise InputError(f"there are more than {RIG_FRAMES} frames: give fewer folders at a time")
     if not files:
         raise InputError(f"no frames ({', '.join(ENDINGS)}) in the folders given: name others")
     return list(dict.fromkeys(files))

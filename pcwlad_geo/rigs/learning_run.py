@@ -15,12 +15,12 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.execution.workers import open_runner
-from pcwlad_geo.limits import JOBS
+from pcwlad_geo.limits import JOBS, RIG_LENSES
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.rigs.applying import doubt_of, try_capture
-from pcwlad_geo.rigs.captures import MAX_LENSES, Capture, find_frames, group
+from pcwlad_geo.rigs.captures import Capture, find_frames, group
 from pcwlad_geo.rigs.initial_poses import evenly
 from pcwlad_geo.rigs.inspection import BadCaptureError, Sharpness, check_sharpness, inspect, usual_of
 from pcwlad_geo.rigs.learning import learn
@@ -174,10 +174,10 @@ def _whole(captures: Sequence[Capture], on_event: EventCallback) -> Iterator[Cap
     names = Counter(name for capture in captures for name in capture.frames)
     # a lens of a stray file is none of the rig's
     lenses = {name for name, count in names.items() if count >= max(1, 0.5 * len(captures))}
-    if not 2 <= len(lenses) <= MAX_LENSES:
+    if not 2 <= len(lenses) <= RIG_LENSES:
         listed = ", ".join(sorted(names)) or "none"
         raise InputError(
-            f"the {len(captures)} captures found have not two to {MAX_LENSES} lenses in common (lenses: "
+            f"the {len(captures)} captures found have not two to {RIG_LENSES} lenses in common (lenses: "
             f"{listed[:200]}): name frames of one camera, or give --pattern"
         )
     complete = 0

@@ -10,19 +10,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from pcwlad_geo.estimation.solving import least_squares
+from pcwlad_geo.rigs.parameters import LENS, LensParameters
 from pcwlad_geo.types import Bool, Float64
 
 LensModel = Literal["brown", "fisheye"]
 LENS_PARAMETERS: Final = ("focal_px", "centre_col", "centre_row", "k1", "k2", "k3", "p1", "p2")
 """The parameters of a lens, in the order of its vector."""
-NEWTON_STEPS: Final = 12
-"""Largest number of Newton steps of the inverse projection; any sensible frame needs fewer."""
-MAX_CORNER_RATIO: Final = 1.6
-"""Largest radius of a direction that is projected, over that of the corners of the frame."""
-MAX_FRAME_SIDE_PX: Final = 20_000
-"""Largest number of rows or columns of a frame; the largest cameras have 15,000."""
-MAX_FISHEYE_RAD: Final = 1.5
-"""Largest angle to the axis of a fisheye lens; at π/2 its tangent is infinite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,11 +57,11 @@ class Lens:
             (col >= margin_px) & (col <= cols - margin_px) & (row >= margin_px) & (row <= rows - margin_px)
         )
 
-    def _largest_radius(self) -> float:
+    def _largest_radius(self, parameters: LensParameters = LENS) -> float:
         """Return the radius of a direction up to which the projection is monotonic."""
-        radii = np.linspace(0.0, MAX_CORNER_RATIO * self.corner, 400)
+        radii = np.linspace(0.0, parameters.max_corner_ratio * self.corner, 400)
         if self.model == "fisheye":  # the angle, not its tangent, is proportional to the radius in the image
-            radii = np.tan(np.minimum(radii, MAX_FISHEYE_RAD))
+            radii = np.tan(np.minimum(radii, parameters.max_fisheye_rad))
         slope = np.diff(radii * _radial(radii, self.vector[3:6], self.model))
         folded = np.flatnonzero(slope <= 0)
         return float(radii[folded[0]] if len(folded) else radii[-1])
@@ -98,7 +91,7 @@ class Lens:
         rows, cols = int(values["rows"]), int(values["cols"])
         if model not in ("brown", "fisheye") or not np.isfinite(vector).all() or vector[0] <= 0:
             raise ValueError(f"no lens: {model}, {vector}")
-        if not 1 <= min(rows, cols) <= max(rows, cols) <= MAX_FRAME_SIDE_PX:
+        if not 1 <= min(rows, cols) <= max(rows, cols) <= LENS.max_side_px:
             raise ValueError(f"no frame has {cols} x {rows} px")
         return Lens(model, (rows, cols), vector)
 
@@ -138,11 +131,11 @@ def project(rays: Float64, vector: Float64, model: LensModel) -> Float64:
     return np.asarray(vector[0] * (distorted + tangential) + vector[1:3])
 
 
-def rays(xy_px: Float64, vector: Float64, model: LensModel) -> Float64:
+def rays(xy_px: Float64, vector: Float64, model: LensModel, parameters: LensParameters = LENS) -> Float64:
     """Return (n, 2) directions of the (n, 2) px `xy_px` by the (8,) `vector`, the inverse of `project`."""
     distorted = (xy_px - vector[1:3]) / vector[0]
-    for _ in range(NEWTON_STEPS + 1):
-        direction = _undo_radial(distorted, vector[3:6], model)
+    for _ in range(parameters.newton_steps + 1):
+        direction = _undo_radial(distorted, vector[3:6], model, parameters)
         error = project(direction, vector, model) - xy_px
         if not np.nanmax(np.abs(error), initial=0.0) > 1e-9:
             break
@@ -171,13 +164,13 @@ def _tangential(xy: Float64, p: Float64) -> Float64:
     )
 
 
-def _undo_radial(distorted: Float64, k: Float64, model: LensModel) -> Float64:
+def _undo_radial(distorted: Float64, k: Float64, model: LensModel, parameters: LensParameters) -> Float64:
     """Return the (n, 2) directions whose radial image is (n, 2) `distorted`, by Newton's method."""
     length = np.hypot(*distorted.T)
-    bent = length if model == "brown" else np.minimum(length, MAX_FISHEYE_RAD)
-    largest = 10.0 if model == "brown" else MAX_FISHEYE_RAD
+    bent = length if model == "brown" else np.minimum(length, parameters.max_fisheye_rad)
+    largest = 10.0 if model == "brown" else parameters.max_fisheye_rad
     solution = bent.copy()
-    for _ in range(NEWTON_STEPS):
+    for _ in range(parameters.newton_steps):
         square = solution**2
         value = solution * (1 + square * (k[0] + square * (k[1] + square * k[2]))) - bent
         slope = 1 + square * (3 * k[0] + square * (5 * k[1] + square * 7 * k[2]))

@@ -1,4 +1,4 @@
-"""The tuned numbers of rigs: of learning, of the adjustment, and of placing a capture."""
+"""The tuned numbers of rigs: of learning, of lenses, of the adjustment, and of placing a capture."""
 
 from __future__ import annotations
 
@@ -101,6 +101,20 @@ class AdjustmentParameters:
 
 
 @dataclass(frozen=True, slots=True)
+class LensParameters:
+    """Numbers of the projection of a lens."""
+
+    newton_steps: int = 12
+    """Largest number of Newton steps of the inverse projection; any sensible frame needs fewer."""
+    max_corner_ratio: float = 1.6
+    """Largest radius of a direction that is projected, over that of the corners of the frame."""
+    max_fisheye_rad: float = 1.5
+    """Largest angle to the axis of a fisheye lens; at π/2 its tangent is infinite."""
+    max_side_px: int = 20_000
+    """Largest number of rows or columns of a frame; the largest cameras have 15,000."""
+
+
+@dataclass(frozen=True, slots=True)
 class CaptureParameters:
     """Numbers by which a capture is placed and judged; the study of rigs prints what they give."""
 
@@ -137,11 +151,19 @@ class CaptureParameters:
     panel_ratio: float = 1.5
     """Captures that are nearer than the nearest capture learned from by this factor are searched for a
     panel."""
+    min_crop_px: int = 64
+    """Least side of the part of the frame that all lenses see, px, or"""
+    min_crop_share: float = 0.3
+    """as a share of the frame's side: rigs with less are refused."""
+    captures_a_core: int = 16
+    """Number of captures for each core after which the summary is written."""
 
 
 LEARNING: Final = LearningParameters()
 """Those in use."""
 ADJUSTMENT: Final = AdjustmentParameters()
+"""Those in use."""
+LENS: Final = LensParameters()
 """Those in use."""
 CAPTURE: Final = CaptureParameters()
 """Those in use."""

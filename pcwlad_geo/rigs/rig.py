@@ -16,6 +16,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.registration import FAIR_PX, GOOD_PX, Grade
 from pcwlad_geo.rigs.inspection import Sharpness
 from pcwlad_geo.rigs.lens import LENS_PARAMETERS, Lens, lattice
+from pcwlad_geo.rigs.parameters import CAPTURE
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import Float64, PathLike
 
@@ -28,8 +29,6 @@ RIG_FIELDS: Final = (
     "expected_ce90_px", "seconds",
 )  # fmt: skip
 """Attributes of `Rig` that RIG.json has under the same names."""
-MIN_CROP_SHARE: Final = 0.3
-"""Least share of the reference's rows and columns that all lenses see."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +145,8 @@ class Rig:
         if visible.any():
             low, high = np.ceil(places[visible].min(axis=0)), np.floor(places[visible].max(axis=0))
             size = (high - low).astype(int)
-            if (size >= 64).all() or (size >= MIN_CROP_SHARE * np.array([cols, rows])).all():
+            least = CAPTURE.min_crop_share * np.array([cols, rows])
+            if (size >= CAPTURE.min_crop_px).all() or (size >= least).all():
                 return int(low[0]), int(low[1]), int(size[0]), int(size[1])
         raise InputError(
             f"the lenses {', '.join(self.names)} hardly look at the same ground: is this one rig?"

@@ -95,7 +95,7 @@ def run_here(
     """Run the command line in a folder and in this process, for what is no matter of processes."""
     import pcwlad_geo  # inside: conftest imports this module before numpy may load
     from pcwlad_geo.cli.app import run
-    from pcwlad_geo.multi import batches
+    from pcwlad_geo.multi.batch import run as batch_run
 
     patch.chdir(folder)
     patch.setenv("COLUMNS", "100")
@@ -105,7 +105,7 @@ def run_here(
         patch.setattr(pcwlad_geo, "job", stand_in["job"])
         patch.setitem(sys.modules, "pcwlad_geo.job", stand_in["job"])
         for name in ("register", "products_found_once", "open_job_runner"):
-            patch.setattr(batches, name, getattr(stand_in["job"], name))
+            patch.setattr(batch_run, name, getattr(stand_in["job"], name))
     out, err = io.StringIO(), io.StringIO()
     words = list(map(str, arguments))
     with redirect_stdout(out), redirect_stderr(err):

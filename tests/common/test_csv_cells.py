@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.multi.batches import BatchPair, PairOutcome, write_summary
-from pcwlad_geo.multi.qa_result import to_csv
+from pcwlad_geo.multi.batch.summary import PairOutcome, write_summary
+from pcwlad_geo.multi.batch.table import BatchPair
+from pcwlad_geo.multi.qa.numbers import to_csv
 from pcwlad_geo.options import Settings
 from pcwlad_geo.text import cell
 from pcwlad_geo.tiepoints.envi import write_envi

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcwlad_geo.limits import JSON_DEPTH, JSON_DIGITS
-from pcwlad_geo.multi.stack_numbers import StackNumbers
+from pcwlad_geo.multi.stack.numbers import StackNumbers
 from pcwlad_geo.raster.bands import Bands
 from pcwlad_geo.text import mismatch, parse_json, plain, whole
 

@@ -28,9 +28,10 @@ from pcwlad_geo.estimation.solving import (
     triangular,
     undetermined,
 )
-from pcwlad_geo.multi.adjustment import adjust
-from pcwlad_geo.multi.homographies import homographies
-from pcwlad_geo.multi.network import Edge, UndeterminedImageError, named
+from pcwlad_geo.multi.stack.adjustment import adjust
+from pcwlad_geo.multi.stack.edges import Edge
+from pcwlad_geo.multi.stack.homographies import homographies
+from pcwlad_geo.multi.stack.network import UndeterminedImageError, named
 from pcwlad_geo.rigs.lens import homography_residual
 
 Array = NDArray[np.float64]

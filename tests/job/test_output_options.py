@@ -20,7 +20,7 @@ from pcwlad_geo import job as workflow
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.correction.models import ProjectiveCorrection
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.multi.batches import read_pairs
+from pcwlad_geo.multi.batch.table import read_pairs
 from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.registration import Registration

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pcwlad_geo.multi.stack import stack
+from pcwlad_geo.multi.stack.run import stack
 from tests.multi.test_stack import FEW, write_images
 from tests.pictures import no_pictures, text_alone, without_pictures
 

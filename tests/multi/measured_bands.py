@@ -11,7 +11,8 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from pcwlad_geo.multi.bands import Band, PairResult, statistics_by_unit
+from pcwlad_geo.multi.qa.band_pairs import PairResult, statistics_by_unit
+from pcwlad_geo.multi.qa.bands import Band
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px

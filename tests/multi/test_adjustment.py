@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.multi.adjustment import Adjustment, adjust
-from pcwlad_geo.multi.network import Edge
+from pcwlad_geo.multi.stack.adjustment import Adjustment, adjust
+from pcwlad_geo.multi.stack.edges import Edge
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def test_exact_points_give_exact_displacements(datum: int | None) -> None:
     found = adjust(edges, 6, datum=datum)
     # the linear part of the datum bends the frame by the product of two slopes: 1e-3 of 5 px
     assert np.abs(errors(found, truth, datum)).max() < 0.01
-    assert all(fit.used for fit in found.edges)
+    assert all(fit.in_use for fit in found.edges)
     if datum is not None:
         assert np.abs(found.displacement(datum, GRID)).max() == 0.0
 
@@ -100,7 +100,7 @@ def test_wrong_pairs_are_found_and_no_good_one_is_lost(seed: int) -> None:
         for k, pair in enumerate(pairs)
     ]
     found = adjust(edges, 24, datum=None)
-    assert {k for k, fit in enumerate(found.edges) if not fit.used} == wrong
+    assert {k for k, fit in enumerate(found.edges) if not fit.in_use} == wrong
     worst_px = np.sqrt((errors(found, truth, None) ** 2).sum(axis=-1).mean(axis=1)).max()
     assert worst_px < 0.035
     assert np.median([fit.shared for fit in found.edges]) == pytest.approx(0.02, rel=0.3)
@@ -115,7 +115,7 @@ def test_an_image_whose_wrong_pairs_are_fewer_than_its_right_ones_is_placed_by_t
         truth.edge(rng, *pair, shared=0.02, sigma=0.08, off=off.get(k, 0.0)) for k, pair in enumerate(pairs)
     ]
     found = adjust(edges, 12)
-    assert {k for k, fit in enumerate(found.edges) if not fit.used} == set(off)
+    assert {k for k, fit in enumerate(found.edges) if not fit.in_use} == set(off)
 
 
 @pytest.mark.slow
@@ -257,7 +257,7 @@ def test_pairs_of_one_cause_do_not_outvote_those_of_more_evidence(seed: int) -> 
     found = adjust(edges, 7)
     assert np.abs(errors(found, truth, 0)).max() < 0.3
     left_out = {
-        (edge.first, edge.second) for edge, fit in zip(edges, found.edges, strict=True) if not fit.used
+        (edge.first, edge.second) for edge, fit in zip(edges, found.edges, strict=True) if not fit.in_use
     }
     assert left_out == {(one, 6) for one in range(2, 6)}
     alike = adjust([replace(edge, evidence=10.0) for edge in edges], 7)  # four against two: the many
@@ -275,7 +275,7 @@ def test_an_image_that_hangs_on_one_whose_pairs_are_replaced_goes_with_it() -> N
     edges.append(replace(truth.edge(rng, 6, 7, shared=0.05, sigma=0.1), evidence=1.0))
     adjustment = adjust(edges, 8)
     assert np.abs(errors(adjustment, truth, 0)).max() < 0.3
-    assert adjustment.edges[-1].used
+    assert adjustment.edges[-1].in_use
 
 
 def test_what_is_known_of_a_product_settles_pairs_that_contradict_each_other() -> None:

@@ -11,7 +11,14 @@ import rasterio
 from rasterio.enums import ColorInterp
 
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.multi.bands import expand, find_band, list_bands, parse_bands, split_bands, with_native_px
+from pcwlad_geo.multi.qa.bands import (
+    expand,
+    find_band,
+    list_bands,
+    parse_bands,
+    split_bands,
+    with_native_px,
+)
 from pcwlad_geo.products.finding import native_px_m
 from tests.scenes import make_grid, write
 

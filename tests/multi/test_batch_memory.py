@@ -15,7 +15,7 @@ import pcwlad_geo
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.execution.runner import InThisProcess
-from pcwlad_geo.multi import batches
+from pcwlad_geo.multi.batch import run as batch_run
 from tests.registrations import json_of, make_registration
 from tests.scenes import make_grid, render, write
 
@@ -70,7 +70,7 @@ def test_an_outcome_keeps_neither_the_report_nor_the_registration(
         if outcome == "rejected":
             raise RegistrationRejectedError("no", tie_points)
 
-    monkeypatch.setattr(batches, "register", register)
+    monkeypatch.setattr(batch_run, "register", register)
     assert growth_a_pair(tmp_path, PAIRS, FIRST) < MOST_A_PAIR
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.multi import batches
-from pcwlad_geo.multi.batches import COLUMNS, BatchPair, read_pairs
+from pcwlad_geo.multi.batch import table as batch_table
+from pcwlad_geo.multi.batch.table import COLUMNS, BatchPair, read_pairs
 
 
 def read(folder: Path, text: str, **options: Any) -> list[BatchPair]:
@@ -80,8 +80,8 @@ def test_many_lines_of_one_target_are_numbered_in_linear_time(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     asked = []
-    key = batches._key
-    monkeypatch.setattr(batches, "_key", lambda folder: asked.append(folder) or key(folder))
+    key = batch_table._key
+    monkeypatch.setattr(batch_table, "_key", lambda folder: asked.append(folder) or key(folder))
     lines = ["r.tif,t.tif,"] * 100
     found = read(
         tmp_path, "reference,target,out_dir\n" + "\n".join([*lines, "r.tif,u.tif,out/t_registered_9"])

@@ -21,8 +21,10 @@ import pcwlad_geo
 from pcwlad_geo.errors import CancelledError, ExecutionError, InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
-from pcwlad_geo.multi import batches
-from pcwlad_geo.multi.batches import BatchResult, PairOutcome, write_summary
+from pcwlad_geo.multi.batch import run as batch_run
+from pcwlad_geo.multi.batch.run import BatchResult
+from pcwlad_geo.multi.batch.summary import PairOutcome, write_summary
+from pcwlad_geo.multi.batch.table import read_pairs
 from pcwlad_geo.outputs.places import HOST
 from pcwlad_geo.outputs.stages import stage_prefixes
 from pcwlad_geo.report.finished import read_report
@@ -190,7 +192,7 @@ def test_what_workers_leave_is_swept_where_the_batch_ends_first(
         left.mkdir(parents=True)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(batches, "_do_part", stop)
+    monkeypatch.setattr(batch_run, "_do_part", stop)
     with pytest.raises(KeyboardInterrupt):
         pcwlad_geo.batch("pairs.csv", out_dir="out", **OPTIONS)
     assert not left.exists()
@@ -210,7 +212,7 @@ def calls(work: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         if Path(target).stem in TROUBLE:
             raise TROUBLE[Path(target).stem]
 
-    monkeypatch.setattr(batches, "register", register)
+    monkeypatch.setattr(batch_run, "register", register)
     return done
 
 
@@ -243,8 +245,8 @@ def test_every_kind_of_trouble_stays_with_its_pair(calls: list[str], work: Path)
 
 def test_a_warning_has_the_name_of_its_pair_once(calls: list[str], work: Path) -> None:
     events: list[Event] = []
-    pairs = batches.read_pairs(table(work, "bad", "strange"), work / "out", {})
-    batches._do_part(pairs, False, batches._PairEvents(events.append), InThisProcess())
+    pairs = read_pairs(table(work, "bad", "strange"), work / "out", {})
+    batch_run._do_part(pairs, False, batch_run._PairEvents(events.append), InThisProcess())
     assert calls == ["bad", "strange"]
     told = [event.message for event in events if isinstance(event, Warned)]
     assert told == ["bad.tif (line 2): odd", "strange.tif (line 3): odd"]
@@ -293,7 +295,7 @@ def test_the_summary_of_many_pairs_is_not_rewritten_after_each(
         lengths.append(len(outcomes))
         write_summary(path, outcomes)
 
-    monkeypatch.setattr("pcwlad_geo.multi.batches.write_summary", write)
+    monkeypatch.setattr("pcwlad_geo.multi.batch.summary.write_summary", write)
     names = [f"pair{number}" for number in range(505)]
     for name in names:
         monkeypatch.setitem(TROUBLE, name, InputError("unusable"))

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.correction.models import PolynomialBasis
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.multi.adjustment import adjust, critical, extend
-from pcwlad_geo.multi.model_choice import choose_basis
-from pcwlad_geo.multi.network import Edge, SplineBasis, basis_over, linked, penalty_of, terms_of
-from pcwlad_geo.multi.pair_choice import Candidate, asked_by_sigma
+from pcwlad_geo.multi.stack.adjustment import adjust, critical, extend
+from pcwlad_geo.multi.stack.bases import SplineBasis, basis_over, penalty_of, terms_of
+from pcwlad_geo.multi.stack.edges import Edge, linked
+from pcwlad_geo.multi.stack.model_choice import choose_basis
+from pcwlad_geo.multi.stack.pair_choice import Candidate, asked_by_sigma
+from pcwlad_geo.multi.stack.parameters import ADJUSTMENT
 from tests.multi.test_adjustment import GRID, SIDE, make
 
 Array = NDArray[np.float64]
@@ -74,12 +76,12 @@ def test_what_is_asked_for_is_given() -> None:
     assert chosen.order == 2
 
 
-def test_of_many_images_those_near_the_datum_decide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.multi.model_choice.MAX_IMAGES_TO_CHOOSE", 3)
+def test_of_many_images_those_near_the_datum_decide() -> None:
+    few_images = replace(ADJUSTMENT, max_images_to_choose=3)
     rng = np.random.default_rng(2)
     pairs = [(k, k + step) for step in (1, 2) for k in range(6 - step)]
     edges = [edge(rng, *pair, affine) for pair in pairs]
-    assert terms_of(choose_basis(edges, 6, "auto", datum=3)) == 3
+    assert terms_of(choose_basis(edges, 6, "auto", datum=3, parameters=few_images)) == 3
 
 
 def test_a_few_control_points_do_not_choose_a_cubic() -> None:
@@ -114,7 +116,7 @@ def test_points_of_one_feature_are_one_track() -> None:
         Edge(0, 2, place + np.array([[0.3, 0.0], [5.0, 0.0], [0.0, 0.0]]), place + 7.0, covariance),
         Edge(1, 2, place + np.array([[1.0, 41.0], [1.0, 41.0], [1.0, 1.1]]), place + 7.0, covariance),
     ]
-    images = [each.images for each in linked(edges)]
+    images = [each.images for each in linked(edges, ADJUSTMENT.feature_px)]
     np.testing.assert_array_equal(images[0], [3, 2, 3])
     np.testing.assert_array_equal(images[1], [3, 3, 3])  # the second by what images 1 and 2 see
     np.testing.assert_array_equal(images[2], [3, 3, 3])
@@ -168,7 +170,7 @@ def test_of_right_pairs_hardly_any_is_left_out() -> None:
             for pair in combinations(range(10), 2)
             if sum(pair) % 2
         ]
-        lost += not all(fit.used for fit in adjust(edges, 10).edges)
+        lost += not all(fit.in_use for fit in adjust(edges, 10).edges)
     assert lost <= 2
 
 
@@ -183,6 +185,6 @@ def test_further_pairs_go_to_kinds_with_few_pairs() -> None:
 def test_turns_that_leave_nothing_out_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = np.full(9, np.nan)
     errors = iter([nothing, np.array([1.0, 2.0, *nothing[2:]])])
-    monkeypatch.setattr("pcwlad_geo.multi.model_choice._errors", lambda *_: next(errors, nothing))
+    monkeypatch.setattr("pcwlad_geo.multi.stack.model_choice._errors", lambda *_: next(errors, nothing))
     pair = edge(np.random.default_rng(5), 0, 1, affine)
     assert terms_of(choose_basis([pair], 2, "auto", datum=0)) == 1

@@ -13,9 +13,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.multi.adjustment import adjust
-from pcwlad_geo.multi.control_points import ControlPoint, check_control
-from pcwlad_geo.multi.network import SAME_PX, Edge, _near_pairs
+from pcwlad_geo.multi.stack.adjustment import adjust
+from pcwlad_geo.multi.stack.control_points import ControlPoint, check_control
+from pcwlad_geo.multi.stack.edges import Edge, _near_pairs
+from pcwlad_geo.multi.stack.parameters import ADJUSTMENT
 from pcwlad_geo.types import Float64, Index
 
 
@@ -33,14 +34,14 @@ def test_points_are_connected_as_by_all_their_pairs(count: int, spread: float, s
     random = np.random.default_rng(seed)
     at = random.uniform(0, spread, (count, 2))
     at = at[random.integers(0, count, count)]  # some several times
-    every = cKDTree(at).query_pairs(SAME_PX, output_type="ndarray")
-    assert equal_groups(groups(_near_pairs(at), count), groups(every, count))
+    every = cKDTree(at).query_pairs(ADJUSTMENT.feature_px, output_type="ndarray")
+    assert equal_groups(groups(_near_pairs(at, ADJUSTMENT.feature_px), count), groups(every, count))
 
 
 def test_many_points_in_one_place_take_little_memory() -> None:
     at = np.full((20_000, 2), 12.5)
     tracemalloc.start()
-    pairs = _near_pairs(at)
+    pairs = _near_pairs(at, ADJUSTMENT.feature_px)
     assert tracemalloc.get_traced_memory()[1] < 50e6
     tracemalloc.stop()
     assert len(set(groups(pairs, len(at)).tolist())) == 1

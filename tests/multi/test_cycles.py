@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.multi.cycles import closure_of
-from pcwlad_geo.multi.stack_pairs import PairStatus, StackPair
+from pcwlad_geo.multi.stack.closure import closure_of
+from pcwlad_geo.multi.stack.pair import PairStatus, StackPair
 
 
 def pair(

@@ -14,14 +14,15 @@ import pytest
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.events import ignore
-from pcwlad_geo.multi.adjustment import adjust
-from pcwlad_geo.multi.cycles import StackQuality, image_qualities, residual_ce90
-from pcwlad_geo.multi.image_positions import stack_of
-from pcwlad_geo.multi.pages import stack_page
-from pcwlad_geo.multi.stack_frame import StackFrame
-from pcwlad_geo.multi.stack_pairs import StackPair, measured_pair
-from pcwlad_geo.multi.stack_result import Stack
-from pcwlad_geo.multi.stack_verdict import graded, judge
+from pcwlad_geo.multi.stack.adjustment import adjust
+from pcwlad_geo.multi.stack.frame import StackFrame
+from pcwlad_geo.multi.stack.page import stack_page
+from pcwlad_geo.multi.stack.pair import StackPair
+from pcwlad_geo.multi.stack.pairs import MeasuredPair, measured_pair
+from pcwlad_geo.multi.stack.positions import stack_of
+from pcwlad_geo.multi.stack.quality import StackQuality, image_qualities, residual_ce90
+from pcwlad_geo.multi.stack.result import Stack
+from pcwlad_geo.multi.stack.verdict import graded, judge_stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.requirements import parse_requirements
@@ -66,7 +67,7 @@ def test_damaged_motions_of_a_pair_are_told_of(tmp_path: Path, motions: object) 
     frame = StackFrame(["a", "b"], [], make_grid(), True)
     report = {"schema_version": 1, "settings": {}, "status": "rejected", "reason": "clouds"}
     (tmp_path / "report.json").write_text(json.dumps({**report, "motions": [MOTION]}))
-    _, found = measured_pair(frame, (0, 1), tmp_path, None, ignore)
+    found = measured_pair(frame, (0, 1), tmp_path, None, ignore).pair
     assert (found.status, found.reason, len(found.motions)) == ("refused", "clouds", 1)
     (tmp_path / "report.json").write_text(json.dumps({**report, "motions": motions}))
     with pytest.raises(OutputError, match=r"has a damaged report \(.*remove the folder, and run again"):
@@ -207,7 +208,9 @@ def simulated(seed: int, wrong: dict[tuple[int, int], tuple[float, float]]) -> t
     names, folder = [f"band{number}" for number in range(5)], Path("/out")
     info = RasterInfo("/data/x.tif", 1, 1, make_grid((1000, 1000)), True, "uint16", 0.0, None)
     measured = [
-        (edge, StackPair(names[one], names[other], "used", None, folder / "pairs" / f"{one}_{other}"))
+        MeasuredPair(
+            StackPair(names[one], names[other], "used", None, folder / "pairs" / f"{one}_{other}"), edge
+        )
         for edge, (one, other) in zip(edges, ends, strict=True)
     ]
     found = adjust(edges, 5)
@@ -235,10 +238,10 @@ def test_clouds_that_two_pairs_follow_place_no_image_and_right_stacks_stay_good(
 
 def test_requirements_and_the_page_tell_the_grade() -> None:
     found, _ = simulated(0, {(2, 4): (4.7, -11.5), (3, 4): (4.9, -11.4)})
-    (result,) = judge(found, parse_requirements(["quality>=fair"], "stack"))
+    (result,) = judge_stack(found, parse_requirements(["quality>=fair"], "stack"))
     assert result.text == "quality >= fair: not met (poor)"
     right, _ = simulated(0, {})
-    assert judge(right, parse_requirements(["quality=good"], "stack"))[0].met
+    assert judge_stack(right, parse_requirements(["quality=good"], "stack"))[0].met
     text = stack_page(found)
     assert '<h1 class="bad"><span aria-hidden="true">✗</span> 4 of 5 images in one frame, 1 refused' in text
     assert '<td class="bad"><strong>refused</strong></td>' in text

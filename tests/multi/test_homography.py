@@ -16,9 +16,14 @@ from numpy.typing import NDArray
 import pcwlad_geo
 from pcwlad_geo.correction.models import ProjectiveCorrection
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.multi.adjustment import adjust
-from pcwlad_geo.multi.homographies import FrameAdjustment, homographies, on_epipolar_lines, or_homographies
-from pcwlad_geo.multi.network import Edge
+from pcwlad_geo.multi.stack.adjustment import adjust
+from pcwlad_geo.multi.stack.edges import Edge
+from pcwlad_geo.multi.stack.homographies import (
+    FrameAdjustment,
+    homographies,
+    on_epipolar_lines,
+    or_homographies,
+)
 from tests.scenes import make_grid, render, write
 
 Array = NDArray[np.float64]

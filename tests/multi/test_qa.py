@@ -17,8 +17,8 @@ import pytest
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
-from pcwlad_geo.multi.qa import write_results
-from pcwlad_geo.multi.qa_result import QaResult
+from pcwlad_geo.multi.qa.numbers import QaResult
+from pcwlad_geo.multi.qa.run import write_results
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration import register_pair as run_pair
@@ -192,7 +192,7 @@ def test_a_band_that_cannot_be_read_is_tried_once(folder: Path, monkeypatch: pyt
         matched.append((Path(reference).stem, Path(target).stem))
         return run_pair(reference, target, *arguments, **options)
 
-    monkeypatch.setattr("pcwlad_geo.registration.run.register_pair", run)
+    monkeypatch.setattr("pcwlad_geo.registration.register_pair", run)
     files = [damaged, folder / "b4.tif", folder / "b5.tif"]
     result = pcwlad_geo.qa(files, out_dir=folder / "damaged", **OPTIONS)
     assert [pair.status for pair in result.pairs] == ["refused", "refused", "measured"]

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.multi.bands import local_means
-from pcwlad_geo.multi.pages import displacement_maps
+from pcwlad_geo.multi.qa.band_pairs import local_means
+from pcwlad_geo.multi.qa.page import displacement_maps
 from tests.multi.measured_bands import make_band, make_pair
 
 A, B = make_band("a"), make_band("b", shape=(400, 200))

@@ -11,10 +11,14 @@ from typing import Any
 
 import pytest
 
-from pcwlad_geo.multi.bands import Band, PairResult, close_triangles, closes
-from pcwlad_geo.multi.pages import crs_name, figure, qa_page, signed
-from pcwlad_geo.multi.qa import closure_note
-from pcwlad_geo.multi.qa_result import QaResult, judge_pairs, judge_triangles, read_requirement, summarise
+from pcwlad_geo.multi.pages import figure, signed
+from pcwlad_geo.multi.qa.band_pairs import PairResult
+from pcwlad_geo.multi.qa.bands import Band
+from pcwlad_geo.multi.qa.closure import close_triangles, closes
+from pcwlad_geo.multi.qa.numbers import QaResult, summarise
+from pcwlad_geo.multi.qa.page import crs_name, qa_page
+from pcwlad_geo.multi.qa.requirements import judge_pairs, judge_triangles, read_requirement
+from pcwlad_geo.multi.qa.run import closure_note
 from pcwlad_geo.options import Settings
 from tests.chromium import show
 from tests.multi.measured_bands import make_band, make_pair, refused

@@ -16,8 +16,8 @@ import pcwlad_geo
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import Event, Warned
-from pcwlad_geo.multi.bands import expand, find_band, list_bands, split_bands
-from pcwlad_geo.multi.qa import qa_folder
+from pcwlad_geo.multi.qa.bands import expand, find_band, list_bands, split_bands
+from pcwlad_geo.multi.qa.run import qa_folder
 from tests.multi.measured_bands import schema_file
 from tests.product_files import LANDSAT, SAFE, packed, write_landsat, write_safe
 

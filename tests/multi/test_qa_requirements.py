@@ -7,8 +7,8 @@ import math
 import pytest
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.multi.bands import Triangle
-from pcwlad_geo.multi.qa_result import (
+from pcwlad_geo.multi.qa.closure import Triangle
+from pcwlad_geo.multi.qa.requirements import (
     BandRequirement,
     Judged,
     check_applicable,

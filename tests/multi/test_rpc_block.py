@@ -12,8 +12,10 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import RegistrationRejectedError
-from pcwlad_geo.multi.rpc_block import BlockAdjustment, BlockPair, RpcBlock, adjust_block
-from pcwlad_geo.multi.rpc_stack import adjusted, check_dem
+from pcwlad_geo.multi.block.adjustment import BlockAdjustment, adjust_block
+from pcwlad_geo.multi.block.block import BlockPair, RpcBlock
+from pcwlad_geo.multi.block.dem_check import check_dem
+from pcwlad_geo.multi.stack.rpc_result import adjusted
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Undulation
@@ -114,7 +116,7 @@ def test_a_wrong_pair_is_left_out_where_others_check_it(grids: tuple[RpcGrid, ..
     pairs = [observed(four, biases, ends) for ends in (*PAIRS, (0, 3), (1, 3), (2, 3))]
     pairs[4] = replace(pairs[4], second_px=pairs[4].second_px + np.array([4.0, -3.0]))
     found = adjust_block(RpcBlock(four, ground_grid(grids[0]), frozenset({0})), pairs, ("shift",))
-    assert [fit.used for fit in found.edges] == [True, True, True, True, False, True]
+    assert [fit.in_use for fit in found.edges] == [True, True, True, True, False, True]
     assert shifts(found, 4) == pytest.approx(biases, abs=0.05)
     assert found.edges[4].offset_px == pytest.approx((4.0, -3.0), abs=0.1)
 

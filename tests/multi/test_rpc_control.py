@@ -13,8 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.multi.rpc_block import BlockAdjustment, BlockPair, RpcBlock, adjust_block
-from pcwlad_geo.multi.rpc_stack import control_points_of
+from pcwlad_geo.multi.block.adjustment import BlockAdjustment, adjust_block
+from pcwlad_geo.multi.block.block import BlockPair, RpcBlock
+from pcwlad_geo.multi.stack.rpc_points import control_points_of
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.rpc.dem import Dem

@@ -18,10 +18,10 @@ from scipy.sparse.csgraph import connected_components
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, Progress, Warned
-from pcwlad_geo.multi.pair_choice import CHOICE, candidates, choose_pairs, read_overview
-from pcwlad_geo.multi.stack import stack
-from pcwlad_geo.multi.stack_frame import StackFrame
-from pcwlad_geo.multi.stack_inputs import StackInput
+from pcwlad_geo.multi.stack.frame import StackFrame
+from pcwlad_geo.multi.stack.inputs import StackInput
+from pcwlad_geo.multi.stack.pair_choice import CHOICE, candidates, choose_pairs, read_overview
+from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -103,7 +103,7 @@ def test_a_second_run_matches_nothing_and_gives_the_same_bytes(
         raise AssertionError("matched again")
 
     before = content(done / "out put")
-    monkeypatch.setattr("pcwlad_geo.multi.stack_pairs.match_files", fail)
+    monkeypatch.setattr("pcwlad_geo.multi.stack.pairs.match_files", fail)
     stack([done / f"date{k}.tif" for k in range(3)], out_dir=done / "out put", **FEW)
     assert content(done / "out put") == before
 

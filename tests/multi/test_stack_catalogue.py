@@ -14,7 +14,7 @@ import rasterio
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.multi.stack import stack
+from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster.grid import Grid
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 from tests.scenes import make_grid, render, write

@@ -20,8 +20,9 @@ from rasterio.crs import CRS
 from pcwlad_geo.cli.app import run as run_command
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, SettingsError
 from pcwlad_geo.events import Event, Progress
-from pcwlad_geo.multi import stack_pairs
-from pcwlad_geo.multi.stack import stack, stack_add
+from pcwlad_geo.multi.stack import pairs as stack_pairs
+from pcwlad_geo.multi.stack.adding import stack_add
+from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from tests.cluster import cluster
@@ -326,7 +327,7 @@ def test_large_pairs_are_matched_tile_by_tile_with_the_same_result(
 ) -> None:
     images = matched_before(3)
     stack(images, out_dir=tmp_path / "out", **FEW)
-    monkeypatch.setattr(stack_pairs, "SMALL_TILES", 0)
+    monkeypatch.setattr(stack_pairs, "estimate_tile_count", lambda *_: 100)
     events: list[Event] = []
     stack(images, out_dir=tmp_path / "tiles", on_event=events.append, **FEW)
     assert content(tmp_path / "tiles") == content(tmp_path / "out")

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.multi.adjustment import adjust
-from pcwlad_geo.multi.image_positions import stack_of
-from pcwlad_geo.multi.pages import stack_page
-from pcwlad_geo.multi.stack_frame import StackFrame
-from pcwlad_geo.multi.stack_pairs import StackPair
-from pcwlad_geo.multi.stack_result import Stack
+from pcwlad_geo.multi.stack.adjustment import adjust
+from pcwlad_geo.multi.stack.frame import StackFrame
+from pcwlad_geo.multi.stack.page import stack_page
+from pcwlad_geo.multi.stack.pair import StackPair
+from pcwlad_geo.multi.stack.pairs import MeasuredPair
+from pcwlad_geo.multi.stack.positions import stack_of
+from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import describe
 from tests.multi.test_adjustment import make, ring
@@ -39,8 +40,7 @@ def make_stack(folder: Path, names: list[str]) -> Stack:
     info = describe(write(folder / "image.tif", render(GRID), GRID))
     blank = StackPair(names[0], names[3], "refused", "no better than chance", folder / "x")
     measured = [
-        (
-            edge,
+        MeasuredPair(
             replace(
                 blank,
                 reference=names[one],
@@ -48,13 +48,14 @@ def make_stack(folder: Path, names: list[str]) -> Stack:
                 reason=None,
                 folder=folder / f"{one}_{other}",
             ),
+            edge,
         )
         for edge, (one, other) in zip(edges, pairs, strict=True)
     ]
     frame = StackFrame(names, [info] * len(names), GRID, True)
     found = adjust(edges, len(names))
     return stack_of(
-        frame, [*measured, (None, blank)], found, folder, Settings(), [], {"late.tif": "no raster"}
+        frame, [*measured, MeasuredPair(blank)], found, folder, Settings(), [], {"late.tif": "no raster"}
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 import rasterio
 
 from pcwlad_geo.cli.app import run as run_command
-from pcwlad_geo.multi.stack import stack
+from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster.masks import accepted
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 

@@ -14,8 +14,10 @@ import pytest
 
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.events import Event, Warned
-from pcwlad_geo.multi.qa_result import summarise
-from pcwlad_geo.multi.trend import Axis, date_in, has_risen, nice_ticks, trend, without_dates
+from pcwlad_geo.multi.qa.numbers import summarise
+from pcwlad_geo.multi.watch.dates import date_in, without_dates
+from pcwlad_geo.multi.watch.trend import trend
+from pcwlad_geo.multi.watch.trend_page import Axis, has_risen, nice_ticks
 from pcwlad_geo.report.content import summarise as summarise_registration
 from pcwlad_geo.report.content import to_json
 from tests.multi.measured_bands import make_band, make_pair
@@ -99,7 +101,7 @@ def test_names_that_are_no_text_are_written_visibly(tmp_path: Path) -> None:
 
 
 def test_the_pairs_of_a_trend_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.multi.trend.TREND_FIGURES", 1)
+    monkeypatch.setattr("pcwlad_geo.multi.watch.trend.TREND_FIGURES", 1)
     for number in (0, 1):
         write_qa(tmp_path / "reports" / str(number), "20230105", 0.1)
     with pytest.raises(InputError, match="more than 1 pairs in its reports"):

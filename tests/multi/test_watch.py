@@ -22,10 +22,12 @@ from fuzz.recipes import named
 from pcwlad_geo import InputError, SettingsError
 from pcwlad_geo.estimation.robust import reliability
 from pcwlad_geo.events import Event, Warned
-from pcwlad_geo.multi.ground_motion import MAX_PACKED, _shown, region_velocity
-from pcwlad_geo.multi.network import MIN_EDGE_SIGMA_REDUNDANCY
-from pcwlad_geo.multi.rpc_block import MIN_BLOCK_SIGMA_REDUNDANCY
-from pcwlad_geo.multi.watch import _covariance, findings, watch
+from pcwlad_geo.multi.block.parameters import BLOCK
+from pcwlad_geo.multi.stack.parameters import ADJUSTMENT
+from pcwlad_geo.multi.watch.dated_images import position_covariance
+from pcwlad_geo.multi.watch.ground_motion import MOTION, _shown, region_velocity
+from pcwlad_geo.multi.watch.page import findings
+from pcwlad_geo.multi.watch.run import watch
 from tests.chromium import show
 from tests.cli.process import Result, run_cli
 from tests.multi.watched import FIRST, REGION, STEP_PX, make_images, make_stack, stepped
@@ -189,7 +191,7 @@ def test_pixels_of_several_sizes_are_several_series(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("block", "least"),
-    [(None, MIN_EDGE_SIGMA_REDUNDANCY), ({"model": "shift"}, MIN_BLOCK_SIGMA_REDUNDANCY)],
+    [(None, ADJUSTMENT.min_sigma_redundancy), ({"model": "shift"}, BLOCK.min_sigma_redundancy)],
     ids=["plain", "RPCs"],
 )
 def test_errors_correlate_by_the_own_variances_of_pairs(block: object, least: float) -> None:
@@ -200,7 +202,9 @@ def test_errors_correlate_by_the_own_variances_of_pairs(block: object, least: fl
         {"reference": one, "target": other, "status": "used", "sigma_px": sigma, "redundancy": redundancy}
         for (one, other), (sigma, redundancy) in zip(ends, found, strict=True)
     ]
-    covariance = _covariance({"block": block, "images": [{"name": name} for name in "abc"], "pairs": pairs})
+    covariance = position_covariance(
+        {"block": block, "images": [{"name": name} for name in "abc"], "pairs": pairs}
+    )
     design = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0], [-1.0, 0.0, 1.0]])
     np.testing.assert_allclose(covariance, np.linalg.pinv(design.T / own @ design), rtol=1e-6, atol=1e-9)
 
@@ -360,13 +364,13 @@ def test_the_page_holds_what_cells_do_from_date_to_date(tmp_path: Path) -> None:
     assert np.nanmax(values[..., 2]) < 1.0
 
 
-def test_a_page_of_many_dates_holds_the_moving_cells_and_some_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_of_many_dates_holds_the_moving_cells_and_some_others() -> None:
     known, regions = np.ones((40, 50), bool), np.zeros((40, 50), int)
     known[0], regions[11:14, 21:24] = False, 1
-    everything = _shown(known, regions, 10)
+    most = MOTION.max_packed
+    everything = _shown(known, regions, 10, most)
     assert len(everything) == 39 * 50
-    some = _shown(known, regions, 500)
+    some = _shown(known, regions, 500, most)
     assert set(np.flatnonzero(regions)) <= set(some)
-    assert 500 * len(some) <= MAX_PACKED < 500 * 4 * len(some)
-    monkeypatch.setattr("pcwlad_geo.multi.ground_motion.MAX_PACKED", 1000)
-    assert len(_shown(known, np.ones((40, 50), int), 500)) <= 2
+    assert 500 * len(some) <= most < 500 * 4 * len(some)
+    assert len(_shown(known, np.ones((40, 50), int), 500, 1000)) <= 2

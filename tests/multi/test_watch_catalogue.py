@@ -13,8 +13,8 @@ from affine import Affine
 
 from pcwlad_geo import InputError
 from pcwlad_geo.correction.models import PolynomialBasis, PolynomialCorrection
-from pcwlad_geo.multi.stack import stack
-from pcwlad_geo.multi.watch import watch
+from pcwlad_geo.multi.stack.run import stack
+from pcwlad_geo.multi.watch.run import watch
 from tests.cli.process import run_cli
 from tests.docs.pages import DOCS, code_of
 from tests.multi.watched import Dated, make_stack

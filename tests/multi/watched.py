@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.multi.stack_inputs import StackInput
-from pcwlad_geo.multi.stack_numbers import SCHEMA_VERSION
+from pcwlad_geo.multi.stack.inputs import StackInput
+from pcwlad_geo.multi.stack.numbers import SCHEMA_VERSION
 from tests.scenes import make_grid, write
 
 FIRST = date(2020, 1, 5)

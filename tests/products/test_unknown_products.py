@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.multi.bands import Wanted, expand
+from pcwlad_geo.multi.qa.bands import RequestedBand, expand
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product, no_product
 from pcwlad_geo.registration import resolve
@@ -32,7 +32,7 @@ def test_a_folder_is_told_by_what_it_holds(name: str, said: str, band: int | str
         resolve(tmp_path, "b10.tif", Settings(ref_band=band))
     assert "number" not in str(caught.value)
     if name.casefold().endswith((".tif", ".jp2")):  # a quality report takes the rasters of a folder
-        assert expand(tmp_path, [1]) == [Wanted(str(tmp_path / name), 1, None)]
+        assert expand(tmp_path, [1]) == [RequestedBand(str(tmp_path / name), 1, None)]
         return
     with pytest.raises(InputError, match=said):
         expand(tmp_path, None, None)

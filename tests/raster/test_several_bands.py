@@ -15,7 +15,7 @@ import pcwlad_geo
 from pcwlad_geo.cli import finished
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.multi.stack_inputs import StackInput, listed
+from pcwlad_geo.multi.stack.inputs import StackInput, listed
 from pcwlad_geo.options import Settings, to_setting
 from pcwlad_geo.raster import band_reading
 from pcwlad_geo.raster import view as view_module

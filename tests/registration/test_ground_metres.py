@@ -10,7 +10,8 @@ import pytest
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.multi.bands import list_bands, statistics_by_unit
+from pcwlad_geo.multi.qa.band_pairs import statistics_by_unit
+from pcwlad_geo.multi.qa.bands import list_bands
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.multi.stack import stack
+from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.registration.positions import PositionConflict, position_conflict

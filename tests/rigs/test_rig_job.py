@@ -132,8 +132,7 @@ def test_captures_of_all_parts_of_a_long_flight_are_corrected(
     known: pg.Rig, frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The summary that is written after each part leaves the rasters of the next a place."""
-    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.CHUNK", 1)
-    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.available_cores", lambda: 1)
+    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.available_cores", lambda: 1 / 16)
     good = [file for name in GOOD for file in sorted(frames.glob(f"{name}_*"))]
     found = pg.rig_apply(known, good, out_dir=tmp_path, executor=InThisProcess())
     assert found.count("corrected") == len(GOOD) > 1

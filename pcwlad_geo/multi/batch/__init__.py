@@ -1,0 +1,1 @@
+"""Pairs of a table, registered one after another."""

@@ -1,0 +1,1 @@
+"""The joint adjustment of the RPCs of many images over a DEM."""

@@ -1,0 +1,1 @@
+"""The bands of a sensor, compared with each other."""

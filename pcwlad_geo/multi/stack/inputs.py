@@ -1,0 +1,296 @@
+"""The images of a stack as the user names them: rasters, products, folders, tables and STAC items."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.events import EventCallback, Warned
+from pcwlad_geo.limits import BATCH_ROWS, check_count
+from pcwlad_geo.options import Settings
+from pcwlad_geo.products.finding import find_product
+from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, rasters_of
+from pcwlad_geo.raster.bands import Bands
+from pcwlad_geo.raster.file_tree import file_name, is_folder, plain_name
+from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.text import is_uri, read_json, read_text, whole
+from pcwlad_geo.types import PathLike
+
+DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
+"""A date in a name."""
+SERIES: Final = ("platform", "sat:relative_orbit")
+"""Properties of a STAC item that tell its series."""
+
+
+@dataclass(frozen=True, slots=True)
+class StackInput:
+    """An image, and what is known of how it was taken."""
+
+    path: str
+    """Raster or product, as the user named it."""
+    band: int | str = 1
+    """Number of the band that is matched, or its name in a product."""
+    name: str = ""
+    """What its results are named after."""
+    mask: str | None = None
+    """Mask file; of a product its own is used."""
+    date: str | None = None
+    """Date or time of acquisition, ISO 8601."""
+    sun_elevation: float | None = None
+    """Degrees above the horizon."""
+    cloud: float | None = None
+    """Share of the image under clouds, 0 to 1."""
+    series: str | None = None
+    """What took it, such as sensor and orbit: images of one series are compared over time."""
+    item: str | None = None
+    """The STAC item that names it: its own address, or the file it was read from."""
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> StackInput:
+        """Return an image as stack.json names it; raises `TypeError` if a value is of a wrong type."""
+        image = StackInput(**values)
+        texts = (image.path, image.name, image.mask or "", image.date or "")
+        more = (image.series or "", image.item or "")
+        numbers = (image.sun_elevation or 0.0, image.cloud or 0.0)
+        sound = all(isinstance(value, str) for value in (*texts, *more)) and isinstance(image.band, int | str)
+        if not (sound and all(isinstance(value, int | float) for value in numbers)):
+            raise TypeError("an image is described by texts, a band and two numbers")
+        return image
+
+    @property
+    def day(self) -> datetime.date | None:
+        """The day of acquisition."""
+        try:
+            return datetime.date.fromisoformat((self.date or "")[:10])
+        except ValueError:
+            return None
+
+    @property
+    def shown_band(self) -> str:
+        """The band that it shows, as the user or its name says; empty where they do not."""
+        match = BAND_OF.fullmatch(self.name)
+        return self.band if isinstance(self.band, str) else match["band"] if match else ""
+
+    def describe(self) -> RasterInfo:
+        """Describe the band that is matched; raises `InputError` if it cannot be read."""
+        product = find_product(self.path)
+        if product is not None:
+            return describe(product.band(self.band).opened_as(), mask=self.mask or product.mask)
+        bands = Bands.of_file(self.path, self.band)
+        return describe(self.path, band=bands.first if bands else 1, mask=self.mask)
+
+
+def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
+    """Yield the images of rasters, folders, products, tables and STAC items, in their order.
+
+    The `band` is a number, or a name in products and STAC items. A product that is the only one, without a
+    name of a band, is all its bands that show the ground. Raises `InputError` if a folder, a table or an item
+    cannot be used.
+    """
+    names = [os.fspath(image) for image in images]
+    products = {name: product for name in names if (product := find_product(name)) is not None}
+    for image in names:
+        place = Path(image)
+        if image.casefold().endswith(".csv"):
+            yield from (_of_row(row, place.parent, band) for row in read_table(place, ("image",)))
+        elif image.casefold().endswith((".json", ".geojson")):
+            yield from _of_stac(place, band)
+        elif len(products) == 1 and image in products and not isinstance(band, str):
+            yield from (_named(image, product_band.name) for product_band in products[image].showing_ground())
+        elif is_folder(place) and image not in products:
+            files = rasters_of(place)
+            if not files:
+                raise InputError(f"{image} holds no raster ({', '.join(RASTERS + PICTURES)})")
+            yield from (_named(file, band) for file in files)
+        elif set(image) & set("*?[") and not (is_uri(image) or place.exists()):
+            raise InputError(
+                f"{image} is a pattern that no file matches: check the folder and the spelling, or name the "
+                "images, a folder, or a table"
+            )
+        else:
+            yield _named(image, band)
+
+
+def check_reference(reference: str | None, names: Sequence[str]) -> None:
+    """Raise `InputError` if a reference is given, and is none of the images of these names."""
+    if reference is not None and reference not in names:
+        raise InputError(f"the reference {reference} is none of the images {', '.join(names)}")
+
+
+def with_reference(
+    images: Sequence[PathLike], reference: str | None, band: int | str
+) -> tuple[Sequence[PathLike], str | None]:
+    """Return the images and the name of the reference, which may be named by its file, and is added then.
+
+    Raises `InputError` as `listed` does.
+    """
+    if reference is None or not os.path.isfile(reference):  # noqa: PTH113
+        return images, reference
+    for image_input in listed(images, band):
+        if image_input.name == reference or (
+            Path(image_input.path).exists() and Path(image_input.path).samefile(reference)
+        ):
+            return images, image_input.name
+    return [*images, reference], _named(reference, band).name
+
+
+def _named(path: str, band: int | str, fields: Mapping[str, Any] | None = None) -> StackInput:
+    """Return an image with the name of its file, and a date where its path tells one."""
+    values = dict(fields or {})
+    product = find_product(path)
+    file = path if product is None or not isinstance(band, str) else product.band(band).uri
+    values["name"] = plain_name(values.get("name") or Path(file_name(file)).stem)
+    match = next(filter(None, (DATE.search(part) for part in reversed(Path(path).parts))), None)
+    if not values.get("date") and match:
+        values["date"] = f"{match[1]}-{match[3]}-{match[4]}"
+    return StackInput(path, band, **values)
+
+
+def read_table(table: Path, columns: Iterable[str]) -> list[dict[str, str]]:
+    """Return the lines of a CSV table, in each of which the named columns are filled.
+
+    Raises `InputError` if it cannot be read, or a column is missing.
+    """
+    try:
+        text = io.StringIO(read_text(table, encoding="utf-8-sig"))
+        rows = list(islice(csv.DictReader(text), BATCH_ROWS + 1))
+    except OSError as error:
+        raise InputError(f"cannot read {table}: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{table} is no CSV table in UTF-8: {error}") from error
+    if "\0" in text.getvalue():
+        raise InputError(f"{table} holds a NUL character, which no CSV table has: write it again as text")
+    check_count(str(table), len(rows), BATCH_ROWS, "lines")
+    for column in columns:
+        if not rows or not all(row.get(column) for row in rows):
+            raise InputError(f"{table} needs a column '{column}' with a value in every line")
+    return rows
+
+
+def _of_row(row: Mapping[str, str], folder: Path, band: int | str) -> StackInput:
+    fields: dict[str, Any] = {name: row.get(name) or None for name in ("name", "date", "series")}
+    if row.get("mask"):
+        fields["mask"] = os.fspath(folder / row["mask"])
+    for column in ("sun_elevation", "cloud"):
+        if row.get(column):
+            fields[column] = number_of(row, column)
+    text = row.get("band") or ""
+    row_band = whole(text) or text or band
+    return _named(os.fspath(folder / row["image"]), row_band, fields)
+
+
+def number_of(row: Mapping[str, str], column: str) -> float:
+    """Return a number of a line of a table; raises `InputError` if it is none."""
+    try:
+        return float(row[column])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{column} = {row[column]!r} is no number") from error
+
+
+def _of_stac(place: Path, band: int | str) -> Iterator[StackInput]:
+    """Yield the images of a STAC item, or of each item of an item collection."""
+    try:
+        content = read_json(place)
+    except OSError as error:
+        raise InputError(f"cannot read {place}: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{place} is no JSON: {error}") from error
+    items = content.get("features") if isinstance(content, dict) and "features" in content else [content]
+    for item in items if isinstance(items, list) else [{}]:
+        try:
+            yield _of_item(item, place, band)
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise InputError(
+                f"{place} is no STAC item, nor a collection of items: it needs id, properties and assets "
+                f"with href ({error})"
+            ) from error
+
+
+def _of_item(item: Mapping[str, Any], place: Path, band: int | str) -> StackInput:
+    properties, assets = item["properties"], item["assets"]
+    href = str(_asset(str(item["id"]), assets, band)["href"]).removeprefix("file://")
+    remote = "://" in href or href.startswith("/")
+    cloud, sun = properties.get("eo:cloud_cover"), properties.get("view:sun_elevation")
+    return StackInput(
+        href if remote else os.fspath(place.parent / href),
+        band if isinstance(band, str) and Bands.of_file("", band) else 1,
+        plain_name(str(item["id"])),
+        date=str(properties.get("datetime") or properties.get("start_datetime") or "") or None,
+        sun_elevation=None if sun is None else float(sun),
+        cloud=None if cloud is None else float(cloud) / 100,
+        series=" ".join(str(properties[name]) for name in SERIES if properties.get(name)) or None,
+        item=_address_of(item, place),
+    )
+
+
+def _address_of(item: Mapping[str, Any], place: Path) -> str:
+    """Return the address that an item gives of itself, or else the file it was read from."""
+    links = [str(link.get("href")) for link in item.get("links") or () if link.get("rel") == "self"]
+    return next((href for href in links if "://" in href), os.fspath(place))
+
+
+def _asset(name: str, assets: Mapping[str, Any], band: int | str) -> Mapping[str, Any]:
+    """Return the asset of a band's name, or the only one that is an image."""
+    images: dict[str, Mapping[str, Any]] = {}
+    for key, asset in assets.items():
+        bands = [*asset.get("eo:bands", ()), *asset.get("bands", ())]
+        names = [key, *(band_entry.get(word) for band_entry in bands for word in ("name", "common_name"))]
+        if isinstance(band, str) and band in names:
+            return dict(asset)
+        roles = asset.get("roles") or ()
+        kind = str(asset.get("type", "")).startswith(("image/tiff", "image/jp2", "image/vnd.stac"))
+        if "data" in roles or (kind and not {"thumbnail", "overview"} & set(roles)):
+            images[key] = asset
+    if not Bands.of_file("", band) or len(images) != 1:
+        raise InputError(
+            f"the STAC item {name} has the images {', '.join(images) or 'none'}: give --band with one of them"
+        )
+    return dict(next(iter(images.values())))
+
+
+def readable_images(
+    images: Sequence[PathLike], settings: Settings, tell: EventCallback, old: Sequence[StackInput] = ()
+) -> tuple[list[StackInput], list[RasterInfo], dict[str, str]]:
+    """Return the images that can be read, those of an old stack first, and the reasons of the others."""
+    inputs = [*old, *listed(images, settings.ref_band)]
+    readable: dict[str, StackInput] = {}
+    infos: list[RasterInfo] = []
+    unreadable: dict[str, str] = {}
+    rasters = set[tuple[str, int | str]]()
+    for number, image in enumerate(inputs):
+        if (image.path, image.band) in rasters:
+            raise InputError(f"{image.path} is named twice, or is in the stack already: leave it out")
+        rasters.add((image.path, image.band))
+        if image.name in readable:
+            raise InputError(
+                f"two images are called {image.name} ({readable[image.name].path} and {image.path}): "
+                "rename one, as the results are named after them"
+            )
+        try:
+            infos.append(image.describe())
+            readable[image.name] = image
+        except InputError as error:
+            if number < len(old):
+                raise
+            unreadable[image.path] = str(error)
+            tell(Warned(f"{image.name} is left out: {error}"))
+    check_enough(len(readable), len(inputs), unreadable)
+    return list(readable.values()), infos, unreadable
+
+
+def check_enough(count: int, total: int, unreadable: Mapping[str, str]) -> None:
+    """Raise `InputError` if fewer than two of all images can be read."""
+    if count < 2:
+        raise InputError(
+            f"{count} of {total} images can be read, and a stack needs two: "
+            + ("; ".join(unreadable.values()) or "give more")
+        )
