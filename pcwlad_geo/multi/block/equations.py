@@ -102,7 +102,7 @@ class BlockProblem:
         return BlockEstimate(zero, zero, np.zeros((count, 2)), np.ones(count, bool), shared_px=shared_px)
 
     def correction(self, image: int, parameters: Float64) -> AffineCorrection:
-        """Return the correction of an image, given those of all, (images, terms, 2)."""
+        """Return the correction of an image by the (images, terms, 2) `parameters` of all."""
         return ImageTerms.over(self.block.grids[image].shape).correction(parameters[image], self.model)
 
     def flat(self, parameters: Float64) -> Float64:
@@ -131,7 +131,7 @@ class BlockProblem:
 
 
 def term_design(terms: Float64) -> Float64:
-    """Return the (n, 2, 2 k) design of (n, k) terms: each has a parameter of columns and one of rows."""
+    """Return the (n, 2, 2 k) design of (n, k) `terms`: each has a parameter of columns and one of rows."""
     return np.asarray(np.kron(terms[:, None], np.eye(2)), np.float64)
 
 

@@ -99,7 +99,7 @@ def height_variance(
 ) -> Float64:
     """Return the (n,) variances of the DEM's heights, m²: all points of one of its pixels count as one.
 
-    The `limit` is `BlockParameters.height_limit`.
+    The (n, 2) `residual_px` are distances from an adjustment; `limit` is `BlockParameters.height_limit`.
     """
     height, _ = implied_heights(pair, linear, residual_px)
     off = np.abs(np.nan_to_num(height)) / (limit * max(sigma_m, ZERO_SIGMA))
@@ -107,7 +107,10 @@ def height_variance(
 
 
 def point_weights(pair: BlockPair, linear: Linearisation, variance_m2: Float64 | float = 0.0) -> Float64:
-    """Return the (n, 2, 2) inverse covariances of points, heights eliminated; 0 where unknown."""
+    """Return the (n, 2, 2) inverse covariances of points, heights eliminated; 0 where unknown.
+
+    The variance of the heights is `variance_m2`, one or (n,) of them.
+    """
     by_height = linear.height_derivative
     covariance = pair.covariance_px2 + (variance_m2 * (by_height[:, :, None] * by_height[:, None, :]).T).T
     valid = np.isfinite(linear.residual_px).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))

@@ -120,7 +120,7 @@ class GroundBlocks:
         return self.along**2
 
     def numbers(self, ground: Float64, low: tuple[float, float]) -> Index:
-        """Return the (n,) numbers of the blocks of (n, 2) positions of the ground, whose corner is `low`."""
+        """Return the (n,) numbers of the blocks of (n, 2) positions `ground`, whose corner is `low`."""
         col, row = (np.floor((ground - low) / self.side).astype(int) % self.along).T
         return np.asarray(row * self.along + col)
 

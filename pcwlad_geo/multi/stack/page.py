@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.correction.fit import MODELS
-from pcwlad_geo.correction.models import AffineCorrection, affine_between
+from pcwlad_geo.correction.models import AffineCorrection, Correction, affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.pages import class_names, signed
 from pcwlad_geo.multi.stack.closure import root_mean_square
@@ -22,12 +22,14 @@ from pcwlad_geo.multi.stack.result import Stack, StackImage
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import NAMES
 from pcwlad_geo.raster.file_tree import file_name
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration import Prealignment, Registration
 from pcwlad_geo.report import figures
 from pcwlad_geo.report.page import Answer, Headline, State, page_environment
 from pcwlad_geo.report.views import pair_views, read_backdrop
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
+from pcwlad_geo.types import Float64
 
 QUALIFIERS: Final = {"good": "", "fair": ", with care", "poor": ", poorly"}
 """What the headline adds by the grade of the stack."""
@@ -231,19 +233,7 @@ def _worst_registration(
     if not np.allclose(partner.correction.forward(at_px), at_px):
         displaced_px = correction.forward(predict_px(partner.correction.inverse(at_px), reference, target))
         correction = AffineCorrection("affine", affine_between(predicted, displaced_px))
-    count = len(at_px)
-    table = TiePointTable(
-        reference_px=at_px,
-        target_px=observed_px,
-        predicted_px=predicted,
-        xy=at_px,
-        displacement_m=np.full((count, 2), np.nan),
-        covariance_px2=np.tile(np.eye(2), (count, 1, 1)),
-        score=-np.hypot(*(at_px - at_px.mean(axis=0)).T),  # the middle is shown
-        residual_px=observed_px - correction.forward(predicted),
-        status=np.full(count, "matched"),
-        crs=reference.grid.crs,
-    )
+    table = _table(reference, at_px, observed_px, predicted, correction)
     return Registration(
         status="registered",
         reason=None,
@@ -259,6 +249,29 @@ def _worst_registration(
         counts={},
         seconds={},
         settings=Settings(),
+    )
+
+
+def _table(
+    reference: RasterInfo,
+    at_px: Float64,
+    observed_px: Float64,
+    predicted_px: Float64,
+    correction: Correction,
+) -> TiePointTable:
+    """Return tie points with their residuals; the one nearest to the middle has the highest score."""
+    count = len(at_px)
+    return TiePointTable(
+        reference_px=at_px,
+        target_px=observed_px,
+        predicted_px=predicted_px,
+        xy=at_px,
+        displacement_m=np.full((count, 2), np.nan),
+        covariance_px2=np.tile(np.eye(2), (count, 1, 1)),
+        score=-np.hypot(*(at_px - at_px.mean(axis=0)).T),  # the middle is shown
+        residual_px=observed_px - correction.forward(predicted_px),
+        status=np.full(count, "matched"),
+        crs=reference.grid.crs,
     )
 
 
