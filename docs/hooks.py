@@ -15,6 +15,14 @@ FILE_AS_LABEL = re.compile(r"\[(?:docs/)?([\w/]+)\.md\]\(")
 NAMES = re.compile(r"Names: ((?:`\w+`,?\s?)+)")
 """Public names of one part of the page of the API."""
 
+WHOLE = re.compile(r"<code>(?=(?:--|&lt;)[^<]{1,42}</code>)")
+"""A name of an option or a file that fits on a line."""
+
+
+def on_page_content(html: str, **_: Any) -> str:  # noqa: ANN401 -- types of mkdocs
+    """Return the content of a page, in which short names of options and files stay on one line."""
+    return WHOLE.sub('<code class="whole">', html)
+
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:  # noqa: ANN401 -- types of mkdocs
     """Return the text of a page."""
