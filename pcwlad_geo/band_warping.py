@@ -1,4 +1,4 @@
-"""Application of a finished registration to other bands of the target, by warping or by its RPC."""
+"""Application of a finished registration to other bands of the target and to vectors drawn on it."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ from pcwlad_geo.registration.inputs import check_placed
 from pcwlad_geo.registration.rpc import correct_other_image
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
 from pcwlad_geo.types import PathLike
+from pcwlad_geo.vector_warping import is_vector, vector_place, warp_vectors
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,17 +124,22 @@ def warp(
     of: str | None = None,
     co: Sequence[str] | None = None,
     resampling: Resampling | None = None,
+    inverse: bool = False,
     overwrite: bool = False,
     allow_remote: bool = False,
     trust_vrt: bool = False,
     on_event: EventCallback = ignore,
 ) -> tuple[Path, ...]:
-    """Apply a finished registration to other bands of the target, also with other pixel sizes.
+    """Apply a finished registration to other bands of the target, and to vectors that were drawn on it.
 
     Each raster is warped once from its original pixels by the correction of the registration. Nothing is
     matched, and the registered pair is not needed. If the target has an RPC, the correction is transferred to
     the RPC of each raster, and ``<raster stem>_rpc.vrt`` and ``_rpc_RPC.TXT`` are written beside the
     orthorectified raster; the DEM is needed again.
+
+    Vertices of vector files move from where the target drew them to where they belong. Layers, attributes,
+    CRS and heights stay, and new vertices are inserted where the correction bends a segment by 0.05 px or
+    more.
 
     Parameters
     ----------
@@ -141,9 +147,11 @@ def warp(
         The output folder of `register`.
     rasters : sequence of path
         Rasters of the target's geometry, in its CRS or without georeferencing and of its size; for a target
-        with an RPC, images taken with it that have their own RPCs.
+        with an RPC, images taken with it that have their own RPCs. Also vector files in any CRS (GeoPackage,
+        GeoJSON, Shapefile, FlatGeobuf; with `trust_vrt` all that OGR reads).
     out_dir : path, optional
-        Folder of ``<raster stem>_registered.tif``; the working folder by default.
+        Folder of ``<raster stem>_registered.tif`` and ``<vector stem>_registered.<suffix>``; the working
+        folder by default.
     output_raster : path, optional
         Path of the only raster instead, with no other files.
     grid : {"reference", "reference-exact", "target"}, optional
@@ -156,6 +164,8 @@ def warp(
         Format and creation options as for `register`; by default as in the registration.
     resampling : str, optional
         Resampling; by default as in the registration.
+    inverse : bool
+        Move vectors from where they belong to where the target draws them; there must be no rasters.
     overwrite : bool
         Replace files that exist.
     allow_remote, trust_vrt : bool
@@ -179,11 +189,27 @@ def warp(
     output: WarpOptions = {"grid": grid, "like": like, "tr": tr, "te": te, "t_srs": t_srs, "of": of, "co": co}
     with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
         finished = read_registration(registration)
-        sources = [os.fspath(raster) for raster in rasters]
+        names = [os.fspath(raster) for raster in rasters]
+        vectors = [name for name in names if is_vector(name)]
+        sources = [name for name in names if name not in vectors]
+        if inverse and sources:
+            raise SettingsError(f"inverse moves vectors alone, and {sources[0]} is a raster: leave it out")
+        if vectors and output_raster is not None:
+            raise SettingsError(
+                f"output_raster names a raster, and {vectors[0]} is a vector file: give out_dir"
+            )
         request, fmt = requested_output(finished, output)
         places = _warped_paths(sources, out_dir, output_raster, fmt.extension)
+        moved_places = [vector_place(vector, Path(out_dir or ".")) for vector in vectors]
+        check_outputs([*places, *moved_places], names, overwrite=overwrite)
         wanted = WarpOutput(finished.reference_grid, request, fmt, resampling or finished.resampling)
-        return apply(finished, sources, places, wanted, output_raster is None, overwrite, on_event)
+        warped: tuple[Path, ...] = ()
+        if sources or not vectors:
+            warped = apply(finished, sources, places, wanted, output_raster is None, overwrite, on_event)
+        moved = warp_vectors(
+            vectors, moved_places, finished, is_inverse=inverse, overwrite=overwrite, on_event=on_event
+        )
+        return (*warped, *moved)
 
 
 def apply(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ from pcwlad_geo.report.content import summarise, to_json
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 SHIFT_PX = np.array([1.25, -0.5])
+Make = Callable[..., Path]
+"""Writes the output folder of a registration made by hand."""
 
 
 def make_registration(status: str = "registered", name: str = "b10.tif", n: int = 120) -> Registration:

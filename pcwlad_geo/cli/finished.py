@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from pcwlad_geo.registration.editing import Editor
 
 Folder = Annotated[Path, o.argument("REGISTRATION", "Output folder of an earlier pcwlad-geo register.")]
-WarpRasters = Annotated[list[str], o.argument("RASTER...", "Bands of its target, of any pixel size.")]
+WarpRasters = Annotated[
+    list[str], o.argument("FILE...", "Bands of its target, of any pixel size, and vectors drawn on it.")
+]
 WarpGrid = Annotated[
     OutputGrid | None, o.option("--grid", help="Output grid; the registration's by default.")
 ]
@@ -49,7 +51,10 @@ WarpedRaster = Annotated[
     Path | None,
     o.option("--output-raster", help="The warped raster, of one RASTER, here instead.", metavar="FILE"),
 ]
-OverwriteRasters = Annotated[bool, o.option("--overwrite", help="Replace rasters that exist.")]
+Inverse = Annotated[
+    bool, o.option("--inverse", help="Move vectors from where they belong to where the target draws them.")
+]
+OverwriteRasters = Annotated[bool, o.option("--overwrite", help="Replace files that exist.")]
 
 
 @o.takes_settings("warp")
@@ -63,11 +68,12 @@ def warp(
     resampling: WarpResampling = None,
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
+    inverse: Inverse = False,
     overwrite: OverwriteRasters = False,
     output_raster: WarpedRaster = None,
     debug: o.Debug = False,
 ) -> None:
-    """Apply the correction of REGISTRATION to other bands of its target."""
+    """Apply the correction of REGISTRATION to other bands of its target, and to vectors drawn on it."""
     given = {
         name: context.params[name] for name in ("grid", "like", "tr", "te", "t_srs", "of", "co", "resampling")
     }
@@ -77,6 +83,7 @@ def warp(
         from pcwlad_geo import band_warping  # slow to load
 
         places: dict[str, Any] = {"out_dir": out_dir, "output_raster": output_raster, "overwrite": overwrite}
+        places["inverse"] = inverse
         written = band_warping.warp(registration, rasters, **places, **given, on_event=on_event)
         paths = [str(path.absolute()) for path in written]
         return Ending({"status": "warped", "paths": paths}, visible("".join(f"{path}\n" for path in written)))

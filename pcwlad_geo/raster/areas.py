@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import sqlite3
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import shapely
@@ -21,13 +19,9 @@ from pcwlad_geo.limits import AREAS, SEGMENTS, VERTICES, check_count
 from pcwlad_geo.raster.crs import WGS84, transform_xy, turn_of
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.grid import Grid, Window
-from pcwlad_geo.raster.trust.permissions import current_trust
-from pcwlad_geo.raster.vectors import SQLITE_HEAD, Box, ask, sqlite_file
+from pcwlad_geo.raster.vectors import Box, ask, checked_vector
 from pcwlad_geo.text import check_regular, read_bytes
 from pcwlad_geo.types import Bool, Float64, Index, PathLike
-
-VECTOR_BEGINNINGS: Final = (SQLITE_HEAD, b"\0\0\x27\x0a", b"fgb", b"{")
-"""What the files begin with that are read: GeoPackage, Shapefile, FlatGeobuf, GeoJSON. None names others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +100,11 @@ def read_areas(path: PathLike, grid: Grid) -> bytes:
     Raises `InputError` if the file at `path` is missing or of another format, has several layers, no CRS or
     no polygons, its CRS has no relation to that of the `grid`, or it asks for too much time or memory.
     """
-    name = _checked_vector(path)
+    name = str(path)
+    if _is_kml(name):
+        check_regular(name)
+    else:
+        checked_vector(path, "areas.gpkg", "GeoPackage, GeoJSON, Shapefile (.shp), FlatGeobuf or KML")
     shapes, crs, box = (_shapes_of_kml if _is_kml(name) else _shapes_by_ogr)(name, grid)
     check_count(name, len(shapes), AREAS, "areas")
     kinds = set(shapely.get_type_id(shapes).tolist())
@@ -198,30 +196,6 @@ def _surroundings(xy: Float64) -> Box:
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
     left, bottom, right, top = np.concatenate([low - (high - low), high + (high - low)]).tolist()
     return left, bottom, right, top
-
-
-def _checked_vector(path: PathLike) -> str:
-    """Return the name of a vector file whose format cannot name other files, unless it is trusted."""
-    name = str(path)
-    check_regular(name)
-    if current_trust().vrt or _is_kml(name):
-        return name
-    try:
-        with Path(name).open("rb") as file:
-            begin = file.read(16).lstrip(b"\xef\xbb\xbf \t\r\n")
-        if begin.startswith(SQLITE_HEAD):
-            with sqlite_file(Path(name)):
-                pass  # it holds no view
-    except IsADirectoryError:
-        begin = b""
-    except (OSError, ValueError, sqlite3.Error) as error:
-        raise InputError(f"{name} cannot be opened: {error}") from error
-    if not begin.startswith(VECTOR_BEGINNINGS):
-        raise InputError(
-            f"{name} is no GeoPackage, GeoJSON, Shapefile (.shp), FlatGeobuf or KML: convert it "
-            f"(ogr2ogr areas.gpkg {name}), or give --trust-vrt, with which all that OGR reads is read"
-        )
-    return name
 
 
 def _covered(polygons: bytes, window: Window, grid: Grid) -> Bool:

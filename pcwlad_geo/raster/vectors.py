@@ -11,23 +11,89 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pcwlad_geo.child import child_environment, python_command
 from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.limits import AREAS, READING_BYTES, READING_S
 from pcwlad_geo.raster.trust.permissions import current_trust
+from pcwlad_geo.text import check_regular
+from pcwlad_geo.types import PathLike
 
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top."""
 
 SQLITE_HEAD: Final = b"SQLite format 3\0"
 """What a GeoPackage begins with."""
+VECTOR_BEGINNINGS: Final = (SQLITE_HEAD, b"\0\0\x27\x0a", b"fgb", b"{")
+"""What the files begin with that are read: GeoPackage, Shapefile, FlatGeobuf, GeoJSON. None names others."""
 _CHILD: Final = (
     "sys.modules |= dict.fromkeys(('geopandas', 'pandas', 'pyarrow')); "  # a second to load, and not needed
     "from pcwlad_geo.raster.vectors import answer; answer(*sys.argv[1:3])"
 )
+_WHOLE: Final = "whole"
+"""The question of `read_layers`, where that of `ask` is a box."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VectorLayer:
+    """A layer of a vector file with all its features."""
+
+    name: str
+    crs: str | None
+    geometry_type: str | None
+    """None of a table without geometry."""
+    geometry: NDArray[np.object_] | None
+    """(n,) well-known binary or None."""
+    fields: tuple[str, ...]
+    field_types: tuple[str, ...]
+    """NumPy dtypes; a column of whole numbers with gaps holds floats."""
+    values: tuple[NDArray[np.generic], ...]
+    """(n,) attributes of each field."""
+
+
+def checked_vector(
+    path: PathLike, example: str, formats: str = "GeoPackage, GeoJSON, Shapefile (.shp) or FlatGeobuf"
+) -> str:
+    """Return the name of a vector file whose format cannot name other files, unless it is trusted.
+
+    Raises `InputError` if it cannot be opened or is of none of the `formats`: `example` is the file that the
+    advice converts it to. Raises `TrustError` if it is a GeoPackage with a view.
+    """
+    name = str(path)
+    check_regular(name)
+    if current_trust().vrt:
+        return name
+    try:
+        with Path(name).open("rb") as file:
+            begin = file.read(16).lstrip(b"\xef\xbb\xbf \t\r\n")
+        if begin.startswith(SQLITE_HEAD):
+            with sqlite_file(Path(name)):
+                pass  # it holds no view
+    except IsADirectoryError:
+        begin = b""
+    except (OSError, ValueError, sqlite3.Error) as error:
+        raise InputError(f"{name} cannot be opened: {error}") from error
+    if not begin.startswith(VECTOR_BEGINNINGS):
+        raise InputError(
+            f"{name} is no {formats}: convert it (ogr2ogr {example} {name}), or give "
+            "--trust-vrt, with which all that OGR reads is read"
+        )
+    return name
+
+
+def read_layers(name: str) -> list[VectorLayer]:
+    """Return all layers of a vector file.
+
+    Raises `InputError` if it cannot be read, or takes more than `READING_S` or `READING_BYTES`.
+    """
+    layers: list[VectorLayer] = _answer_to(name, _WHOLE)
+    return layers
 
 
 def ask(name: str, box: Box | None = None) -> Any:  # noqa: ANN401  # of either question
@@ -37,9 +103,13 @@ def ask(name: str, box: Box | None = None) -> Any:  # noqa: ANN401  # of either 
     well-known binary. Raises `InputError` if the file cannot be read, or takes more than `READING_S` or
     `READING_BYTES`.
     """
+    return _answer_to(name, box)
+
+
+def _answer_to(name: str, question: object) -> Any:  # noqa: ANN401  # of any question
     try:
         ended = subprocess.run(
-            python_command(_CHILD, name, json.dumps(box)),
+            python_command(_CHILD, name, json.dumps(question)),
             env=child_environment(),
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -57,7 +127,7 @@ def ask(name: str, box: Box | None = None) -> Any:  # noqa: ANN401  # of either 
     return value
 
 
-def answer(name: str, box: str) -> None:
+def answer(name: str, question: str) -> None:
     """Be the process that reads for `ask`: write an error, or none and the answer, to standard output."""
     import pyogrio.raw
 
@@ -68,7 +138,9 @@ def answer(name: str, box: str) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (READING_BYTES, READING_BYTES))
     value: object = None
     try:
-        if (around := json.loads(box)) is None:
+        if (around := json.loads(question)) == _WHOLE:
+            value = [_layer(name, str(layer)) for layer, _ in pyogrio.list_layers(name)]
+        elif around is None:
             count = len(pyogrio.list_layers(name))
             value = count, pyogrio.read_info(name)["crs"] if count == 1 else None
         else:
@@ -78,6 +150,21 @@ def answer(name: str, box: str) -> None:
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
         said = str(error) or "it is damaged"
     sys.stdout.buffer.write(pickle.dumps((said, value)))
+
+
+def _layer(name: str, layer: str) -> VectorLayer:
+    import pyogrio.raw
+
+    about, _, geometry, values = pyogrio.raw.read(name, layer=layer)
+    return VectorLayer(
+        name=layer,
+        crs=about["crs"],
+        geometry_type=about["geometry_type"],
+        geometry=geometry,
+        fields=tuple(about["fields"]),
+        field_types=tuple(map(str, about["dtypes"])),
+        values=tuple(values),
+    )
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,37 +14,14 @@ import rasterio
 from affine import Affine
 
 from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, RequirementError, warp
-from pcwlad_geo import job as workflow
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.correction.models import Correction, SplineCorrection, SplineGrid
 from pcwlad_geo.events import Event
-from pcwlad_geo.options import Settings
-from pcwlad_geo.registration import Registration
-from tests.registrations import make_registration, of_files, write_pair
+from tests.registrations import Make
 
 SPLINE = SplineCorrection(
     "tps", SplineGrid((0.0, 0.0), 200.0, (3, 2)), np.random.default_rng(1).uniform(-3, 3, (5, 6, 2))
 )
-Make = Callable[..., Path]
-
-
-@pytest.fixture
-def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
-    """Write the output folder of a registration made by hand."""
-    monkeypatch.chdir(tmp_path)
-    write_pair(tmp_path)
-
-    def make_it(status: str = "registered", correction: Correction | None = None, **options: object) -> Path:
-        def finish(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
-            made = of_files(make_registration(status), Path(reference), Path(target))
-            return replace(made, settings=settings, correction=correction or made.correction)
-
-        monkeypatch.setattr("pcwlad_geo.registration.run.register_pair", finish)
-        job = workflow.match_files if status == "matched" else workflow.register
-        job("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[operator]
-        return Path("done")
-
-    return make_it
 
 
 def with_pixels(source: str, path: str, factor: int) -> Path:
