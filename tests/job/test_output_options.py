@@ -45,7 +45,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
             made = of_files(make_registration(), Path(reference), Path(target))
             return replace(made, settings=settings)
 
-        monkeypatch.setattr("pcwlad_geo.registration.run.register_pair", finish)
+        monkeypatch.setattr("pcwlad_geo.registration.register_pair", finish)
         workflow.register("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[arg-type]
         return Path("done")
 

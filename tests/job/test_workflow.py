@@ -50,7 +50,7 @@ def use(pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Use:
             made = of_files(make_registration(status), Path(reference), Path(target))
             return replace(made, settings=settings, **changes)
 
-        monkeypatch.setattr("pcwlad_geo.registration.run.register_pair", run)
+        monkeypatch.setattr("pcwlad_geo.registration.register_pair", run)
 
     return use_it
 
