@@ -113,8 +113,8 @@ TYPES = (
     Box(8.8, 1.5, "CoarseMatches", "matching/coarse\nwhole pixels", width=1.8),
     Box(6.6, 1.5, "Refined", "matching/refinement\nshift, covariance", width=1.8),
     Box(4.4, 1.5, "TiePoints", "matching/types\nof a tile, then of all", width=1.8),
-    Box(2.2, 1.5, "Verdict", "registration/judge\nmore than chance?", ORANGE, width=1.8),
-    Box(0, 1.5, "SceneMatches", "registration/scene\npoints and sigmas", width=1.8),
+    Box(2.2, 1.5, "Decision", "registration/decision\nmore than chance?", ORANGE, width=1.8),
+    Box(0, 1.5, "SceneMatches", "registration/scene/matching\npoints and sigmas", width=1.8),
     Box(0, 0, "TiePointTable", "tiepoints/table\nrows with a status", GREEN, width=1.8),
     Box(2.2, 0, "Matches", "registration/result\ntable and verdict", GREEN, width=1.8),
     Box(4.4, 0, "AssessedFit", "registration/fitting\nresiduals, grade", GREEN, width=1.8),
@@ -280,7 +280,7 @@ def verdict() -> Figure:
         axis.add_patch(
             Circle(tuple(middle), AGREE_PX, fill=False, edgecolor=ORANGE, lw=2, label="agrees to 2 px")
         )
-        judged = matches.verdict
+        judged = matches.decision.evidence
         end = "accepted" if matches.accepted else "refused"
         axis.set_title(
             f"{name}: {judged.agreeing_cells} of {judged.cells} places agree\n"

@@ -33,7 +33,7 @@ from .raster.arrays import DataArrayLike, Raster, RasterLike
 from .raster.grid import Grid
 from .raster.source import RasterInfo
 from .raster.trust.permissions import Trust
-from .registration.judge import Verdict
+from .registration.decision import Decision
 from .registration.quality import Quality
 from .registration.result import Matches, Pair, Registration
 from .registration.starts.alignment import Prealignment
@@ -53,6 +53,7 @@ __all__ = [
     "CaptureOutcome",
     "Correction",
     "DataArrayLike",
+    "Decision",
     "Event",
     "EventCallback",
     "ExecutionError",
@@ -93,7 +94,6 @@ __all__ = [
     "TiePointTable",
     "TiePoints",
     "Trust",
-    "Verdict",
     "Warned",
     "WarpOptions",
     "WatchNumbers",

@@ -278,7 +278,8 @@ def _run_and_write(
             # inside: slow to load, which `_preloading` may have done
             from pcwlad_geo.report.statistics import judge_requirements
 
-            registration = replace(registration, requirements=judge_requirements(registration, requirements))
+            judged = judge_requirements(registration, requirements)
+            registration = replace(registration, decision=replace(registration.decision, requirements=judged))
             with folder.writing():
                 kinds, messages = write(registration, staged, job.places, elsewhere, bands, on_event)
             check_unchanged(file.identity for file in registration.inputs)

@@ -20,9 +20,7 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration.quality import Quality
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.starts.alignment import Prealignment
+from pcwlad_geo.registration import Decision, Prealignment, Quality, Registration
 from pcwlad_geo.report.content import summarise, to_json
 from pcwlad_geo.tiepoints.table import TiePointTable
 
@@ -63,8 +61,10 @@ def make_registration(status: str = "registered", name: str = "b10.tif", n: int 
         for unit, scale in (("px", 1), ("m", 30))
     }
     return Registration(
-        status=status,  # type: ignore[arg-type]
-        reason="only 7 of 900 matches agree; raise --search-radius" if status == "rejected" else None,
+        decision=Decision(
+            "only 7 of 900 matches agree; raise --search-radius" if status == "rejected" else None,
+            quality=Quality("good", (), 0.12, 0.0, 0.9) if fitted else None,
+        ),
         warnings=("the CRS is <script>alert(1)</script> odd",),
         reference=RasterInfo("/data/b4.tif", 1, 1, grid, True, "uint16", 0.0, None),
         target=RasterInfo(f"/data/{name}", 1, 1, grid, True, "uint16", float("nan"), None),
@@ -77,7 +77,6 @@ def make_registration(status: str = "registered", name: str = "b10.tif", n: int 
         counts={"candidates": 1000, "matched": 300, "consistent": n},
         seconds={"matching": 1.23456, "fit": 0.01},
         settings=Settings(),
-        quality=Quality("good", (), 0.12, 0.0, 0.9) if fitted else None,
     )
 
 

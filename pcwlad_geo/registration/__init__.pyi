@@ -1,6 +1,6 @@
 from .assessment import fit_pair
+from .decision import Decision
 from .inputs import InputFile, Inputs, check_output, estimate_tile_count, requested_grid, resolve
-from .judge import Verdict
 from .matching import match_pair
 from .motions import Motion
 from .opening import prepare_pair
@@ -17,6 +17,7 @@ __all__ = [
     "GOOD_PX",
     "GRADES",
     "CorrectedRpc",
+    "Decision",
     "Grade",
     "InputFile",
     "Inputs",
@@ -33,7 +34,6 @@ __all__ = [
     "Registration",
     "RegistrationStatus",
     "RpcRegistration",
-    "Verdict",
     "check_output",
     "conclude",
     "estimate_tile_count",

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.registration.decision import Decision, Evidence
 from pcwlad_geo.registration.starts.alignment import Prealignment
 
 
 def refusal(
-    verdict: Verdict, start: Prealignment, *, georeferenced: bool = True, few_values: Sequence[str] = ()
+    decision: Decision, start: Prealignment, *, georeferenced: bool = True, few_values: Sequence[str] = ()
 ) -> str:
     """Return why a pair was refused, and what to try, the likeliest first.
 
-    The verdict is that on the last start; `start` says whether the whole image has been searched. What is
+    The decision is that on the last start; `start` says whether the whole image has been searched. What is
     likely depends on whether both rasters are `georeferenced`, and on which have `few_values`.
     """
-    reason = verdict.reason or ""
-    advice = [] if verdict.past_search_border is None else [_advice(start, verdict.past_search_border)]
+    reason, evidence = decision.refusal or "", decision.evidence
+    past_border = None if evidence is None else evidence.past_search_border
+    advice = [] if past_border is None else [_advice(start, past_border)]
     if reason and start.evidence > 0:
         place = start.pose.shift_px if start.pose else start.shift_px
         advice.append(
@@ -29,15 +30,15 @@ def refusal(
             f"{' and '.join(few_values)} has little more than two values, as a mask or a map of classes: "
             "match an image that it was made from, and move it by what that gives (shift)"
         )
-    elif verdict.past_search_border is not None:
-        advice.append(_other_causes(verdict, start, georeferenced))
+    elif evidence is not None and past_border is not None:
+        advice.append(_other_causes(evidence, start, georeferenced))
     return f"{reason}{'; ' if ': ' in reason else ': '}{'; '.join(advice)}" if advice else reason
 
 
-def _other_causes(verdict: Verdict, start: Prealignment, georeferenced: bool) -> str:
+def _other_causes(evidence: Evidence, start: Prealignment, georeferenced: bool) -> str:
     """Return what to try beside a search, the likeliest first."""
     causes = []
-    if verdict.few_valid:
+    if evidence.few_valid:
         causes.append("fill small gaps (gdal_fillnodata.py), around which too few pixels are valid")
     if not georeferenced and start.searched:
         causes.append(

@@ -26,9 +26,7 @@ from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import AssessedFit, Fitted, fit_correction, footprint_px
 from pcwlad_geo.registration.match_record import MatchRecord, record_ground
-from pcwlad_geo.registration.matching import conflict_of_positions
-from pcwlad_geo.registration.motions import MotionParameters, describe_motions
-from pcwlad_geo.registration.point_file import UNKNOWN_ORIGIN
+from pcwlad_geo.registration.motions import MotionParameters
 from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Quality, Reason, assess
 from pcwlad_geo.registration.result import Matches, Pair
 from pcwlad_geo.registration.rpc import (
@@ -96,14 +94,8 @@ def fit_pair(
             fitted.table, matches.every, fitted.selection, places, footprint, matches.jitter_px, whole, of_all
         )
         quality = _with_seam(quality, fitted, places, footprint)
-        if matches.motions:
-            quality = quality.at_most("fair", describe_motions(matches.motions, accepted=True))
-        for text in _doubts_of_frames(matches):
-            quality = quality.at_most("poor", text)
-        for doubt in matches.doubts:
+        for doubt in matches.decision.doubts:
             quality = doubt.applied_to(quality, float(file_px_per_px(matches.views.target).max()))
-        if matches.origin is not None and matches.origin.folder is None:
-            quality = quality.at_most("fair", UNKNOWN_ORIGIN)
         if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
             quality = _with_prior(quality, table[table.status == "matched"], float(sizes_m.max()))
         heights = height_errors(
@@ -112,17 +104,12 @@ def fit_pair(
         if heights and quality.grade != "good":
             quality = replace(quality, reasons=(Reason(quality.grade, heights), *quality.reasons))
         log.on_event(Progress("fitting", 1, 1))
-    refusal = None if settings.tie_points else quality.refusal()
-    for reason in () if refusal else quality.reasons:
+    decision = replace(matches.decision, quality=quality)
+    decision = decision.refused(None if settings.tie_points else quality.refusal)
+    for reason in quality.reasons if decision.accepted else ():
         if reason.text not in log.warnings:
             log.warn(reason.text)
-    return AssessedFit(fitted, quality, refusal, settings, tuple(log.warnings), log.seconds)
-
-
-def _doubts_of_frames(matches: Matches) -> list[str]:
-    conflict = conflict_of_positions(matches)
-    texts = None if conflict is None else conflict.text, matches.frame_doubt
-    return [text for text in texts if text is not None]
+    return AssessedFit(fitted, quality, decision, settings, tuple(log.warnings), log.seconds)
 
 
 def _with_seam(quality: Quality, fitted: Fitted, places_px: Float64, footprint_px: float) -> Quality:

@@ -13,6 +13,7 @@ from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.points import hold_out
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.options import Settings
+from pcwlad_geo.registration.decision import Decision
 from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
@@ -47,8 +48,8 @@ class AssessedFit:
 
     fitted: Fitted
     quality: Quality
-    refusal: str | None
-    """Why no corrected raster should be made; None where one may."""
+    decision: Decision
+    """That of the tie points with the quality; refused where no corrected raster should be made."""
     settings: Settings
     """What it was fitted with."""
     warnings: tuple[str, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.chance import evidence_against_chance
 from pcwlad_geo.matching.epipolar import EPIPOLAR
 from pcwlad_geo.raster.compression import BLOCK_PX
+from pcwlad_geo.registration.decision import Decision, Evidence
 from pcwlad_geo.types import Bool, Float64, Index
 
 BY_BLOCKS: Final = (
@@ -59,27 +60,6 @@ class JudgeParameters:
     """Share of candidates with too few valid pixels around them from which it is advised to fill gaps."""
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Whether the tie points of a pair are accepted, and the evidence."""
-
-    accepted: bool
-    reason: str | None
-    """Why the pair was refused; None if it was accepted."""
-    cells: int
-    """Number of cells with a match of any kind."""
-    agreeing_cells: int
-    """Number of cells that agree with the common displacement."""
-    significance: float
-    """-log10 of the probability that unrelated images agree as much."""
-    past_search_border: bool | None = None
-    """Whether many best matches lie on the edge of the search; None unless the points agree by chance."""
-    few_valid: bool = False
-    """Whether many candidates had too few valid pixels around them."""
-    smaller_windows: bool = False
-    """Whether smaller windows may give the places that are missing: the points agree, in too few of them."""
-
-
 def judge(
     matches: TiePoints,
     consistent: Bool,
@@ -89,7 +69,7 @@ def judge(
     *,
     evidence: float = 0.0,
     parameters: JudgeParameters = JudgeParameters(),
-) -> Verdict:
+) -> Decision:
     """Judge the first pass by an a contrario test (Desolneux et al. 2000, doi:10.1023/A:1026593302236).
 
     All n matches were found independently, consistent or not; the (n,) bool array `consistent` is the mask of
@@ -106,24 +86,25 @@ def judge(
     separation_px = (
         parameters.doubtful_separation_windows if doubtful else parameters.separation_windows
     ) * window_px
-    cells, agreeing, agreement = _best_agreement(matches, consistent, separation_px, share, parameters)
+    cells, agreeing, best = _best_agreement(matches, consistent, separation_px, share, parameters)
     # the common displacement is the best of 1 / share different ones
-    significance = max(0.0, agreement + float(np.log10(share)))
+    significance = max(0.0, best + float(np.log10(share)))
     enough = consistent.sum() >= parameters.least_points and agreeing >= parameters.least_places
     if evidence < 0:
         significance = max(0.0, significance + evidence)
     elif significance >= parameters.least_point_significance:
         significance += evidence * (parameters.evidence_share if doubtful else 1.0)
     accepted = bool(enough and significance >= parameters.least_significance)
+    agreement = Evidence(cells, agreeing, significance)
     if accepted:
-        return Verdict(True, None, cells, agreeing, significance)
+        return Decision(None, agreement)
     if by_blocks:
-        return Verdict(False, BY_BLOCKS, cells, agreeing, significance)
+        return Decision(BY_BLOCKS, agreement)
     nothing = _nothing_to_match(counts)
     missing = nothing or _too_few(int(consistent.sum()), agreeing, cells, parameters)
     if missing:
         smaller_windows = bool(nothing) or agree_closely(matches[consistent], parameters=parameters)
-        return Verdict(False, missing, cells, agreeing, significance, smaller_windows=smaller_windows)
+        return Decision(missing, replace(agreement, smaller_windows=smaller_windows))
     by_chance = f"none of the {counts['candidates']} candidates agrees with its neighbours"
     if consistent.any():
         by_chance = (
@@ -134,7 +115,7 @@ def judge(
     by_chance += ", no better than chance"
     past_search_border = counts.get("at_search_border", 0) > parameters.border_share * counts["candidates"]
     few_valid = counts.get("not_comparable", 0) > parameters.few_valid_share * counts["candidates"]
-    return Verdict(False, by_chance, cells, agreeing, significance, past_search_border, few_valid)
+    return Decision(by_chance, Evidence(cells, agreeing, significance, past_search_border, few_valid))
 
 
 def agree_closely(points: TiePoints, parameters: JudgeParameters = JudgeParameters()) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,12 +19,14 @@ from pcwlad_geo.raster.matching_grid import (
     ViewPair,
 )
 from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.registration.decision import Decision, with_doubts
 from pcwlad_geo.registration.edge_sides import error_of_sides_px
 from pcwlad_geo.registration.frame_evidence import frame_evidence
 from pcwlad_geo.registration.match_record import record_ground
-from pcwlad_geo.registration.motions import describe_motions
-from pcwlad_geo.registration.point_file import user_points
-from pcwlad_geo.registration.positions import PositionConflict, position_conflict
+from pcwlad_geo.registration.motions import Motion, describe_motions
+from pcwlad_geo.registration.point_file import UNKNOWN_ORIGIN, user_points
+from pcwlad_geo.registration.positions import position_conflict
+from pcwlad_geo.registration.quality import Doubt
 from pcwlad_geo.registration.result import Matches, Pair, PairGeometry
 from pcwlad_geo.registration.rpc import (
     check_start,
@@ -85,10 +88,8 @@ def match_pair(
         matches = _with_frame_evidence(matches, log, runner, parameters)
     finally:
         forget_tiles()
-    conflict = None if path else conflict_of_positions(matches)
-    if conflict is not None and conflict.no_overlap:
-        matches = replace(matches, verdict=replace(matches.verdict, accepted=False, reason=conflict.text))
-    return replace(_thinned(matches), warnings=tuple(log.warnings), seconds=log.seconds)
+    matches = _with_rpc_note(_with_positions(matches))
+    return replace(matches, warnings=tuple(log.warnings), seconds=log.seconds)
 
 
 def _with_frame_evidence(
@@ -116,18 +117,38 @@ def _with_frame_evidence(
             )
             return ground
     if evidence.is_frame and not from_file:
-        return replace(matches, verdict=replace(matches.verdict, accepted=False, reason=evidence.doubt))
+        return replace(matches, decision=matches.decision.refused(evidence.doubt))
     log.warn(evidence.doubt)
-    return replace(matches, frame_doubt=evidence.doubt)
+    return replace(matches, decision=with_doubts(matches.decision, Doubt("poor", evidence.doubt)))
 
 
-def conflict_of_positions(matches: Matches) -> PositionConflict | None:
-    """Return how the positions of two cameras contradict tie points that were accepted; None if not."""
-    points = matches.tie_points.select("matched")
-    pair = matches.pair
+def _with_positions(matches: Matches) -> Matches:
+    """Return as many matches as are wanted, refused or doubted if the positions of the cameras contradict.
+
+    Points of a file are only doubted.
+    """
     if not matches.accepted:
-        return None
-    return position_conflict(pair.reference, pair.target, points.reference_px, points.target_px)
+        return matches
+    pair, thinned = matches.pair, _thinned(matches)
+    points = thinned.tie_points.select("matched")
+    conflict = position_conflict(pair.reference, pair.target, points.reference_px, points.target_px)
+    if conflict is None:
+        return thinned
+    if conflict.no_overlap and pair.settings.tie_points is None:
+        return replace(matches, decision=matches.decision.refused(conflict.text))
+    return replace(thinned, decision=with_doubts(thinned.decision, Doubt("poor", conflict.text)))
+
+
+def _with_rpc_note(matches: Matches) -> Matches:
+    """Return the matches, with a refusal that also mentions the RPC of the target."""
+    refusal, rpc = matches.decision.refusal, matches.pair.rpc
+    if refusal is None or rpc is None:
+        return matches
+    note = (
+        f"{refusal}; check also that the RPC in {rpc.source.origin} belongs to the "
+        "target as it is, not to an image that it was cropped or decimated from"
+    )
+    return replace(matches, decision=matches.decision.refused(note))
 
 
 def _without_clusters(matches: Matches, log: JobLog, parameters: PairParameters) -> Matches:
@@ -216,10 +237,13 @@ def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
             f"{origin.left_out} points that the matching had kept are left out of {path}: residuals of the "
             "fit are those of chosen points; the check points are still all that were held out before"
         )
+    doubts = _doubts_of_motions(points.motions)
+    if origin.folder is None:
+        doubts = (*doubts, Doubt("fair", UNKNOWN_ORIGIN))
     return Matches(
         pair=pair,
         tie_points=points.table,
-        verdict=points.verdict,
+        decision=with_doubts(Decision(points.refusal), *doubts),
         counts=points.counts,
         prealignment=Prealignment("tie points of a file", (0.0, 0.0), 0),
         record=record,
@@ -253,18 +277,23 @@ def _by_matching(
         radius_px = min(START.radius_px, max(2, round(np.abs(around_px).max()) - 3))
         start = StartingAlignment(Prealignment("search", around_px, radius_px, True), views, overviews)
         scene = match_scene(start, context)
-    if pair.rpc and scene.verdict.accepted:
+    if pair.rpc and scene.decision.accepted:
         check_start(pair.rpc, scene.prealignment, views.reference.grid, settings)
         scene, views = match_again_from_shifted_rpc(scene, views, context)
     table = located(scene, views, (pair.views.reference.info, pair.target))
-    geometry = PairGeometry.of(table, scene.epipolar and scene.verdict.accepted)
+    geometry = PairGeometry.of(table, scene.epipolar and scene.decision.accepted)
     several = len(scene.motions) > 1
     motions = tuple(motion for motion, _ in scene.motions) if several else tuple(scene.patches)
-    if motions and scene.verdict.accepted:
+    if motions and scene.decision.accepted:
         log.warn(describe_motions(motions, accepted=True))
-    for doubt in scene.doubts:
+    for doubt in scene.decision.doubts:
         log.warn(doubt.text)
-    if scene.verdict.accepted and geometry.name == "planar":
+    decision = (
+        with_doubts(scene.decision, *_doubts_of_motions(motions))
+        if scene.decision.accepted
+        else scene.decision
+    )
+    if scene.decision.accepted and geometry.name == "planar":
         table = _with_error_of_sides(table, scene.matches[scene.consistent], views, log)
     jitter_px = scene.jitter_px * float(file_px_per_px(views.target).max())
     if jitter_px >= parameters.jitter_px:
@@ -277,7 +306,7 @@ def _by_matching(
     return Matches(
         pair=pair,
         tie_points=table,
-        verdict=scene.verdict,
+        decision=decision,
         counts=scene.counts,
         prealignment=scene.prealignment,
         record=scene.record,
@@ -289,8 +318,11 @@ def _by_matching(
         jitter_px=jitter_px,
         job=scene.job,
         scales=scene.scales,
-        doubts=scene.doubts if scene.verdict.accepted else (),
     )
+
+
+def _doubts_of_motions(motions: Sequence[Motion]) -> tuple[Doubt, ...]:
+    return (Doubt("fair", describe_motions(motions, accepted=True)),) if motions else ()
 
 
 def _with_error_of_sides(

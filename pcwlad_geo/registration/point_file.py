@@ -14,7 +14,6 @@ from pcwlad_geo.correction.points import agreement, hold_out
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import file_px_per_px
-from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.motions import Motion, describe_motions
 from pcwlad_geo.text import read_json
 from pcwlad_geo.tiepoints.pair_points import read_tie_points
@@ -63,7 +62,8 @@ class FilePoints:
     """All points which that registration had, with its statuses, and those added; the same without one."""
     roles: NDArray[np.str_] | None
     """(n,) of the table's rows ``fit``, ``check`` or ``unused``; None where check points are to be chosen."""
-    verdict: Verdict
+    refusal: str | None
+    """Why none can be used; None if they can."""
     counts: dict[str, int]
     origin: Origin
     motions: tuple[Motion, ...] = ()
@@ -98,10 +98,9 @@ def user_points(
     )
     count = int(np.count_nonzero(table.status == "matched"))
     counts |= {"inconsistent": len(enabled) - count, "tie_points": count}
-    verdict = Verdict(reason is None, reason, 0, 0, 0.0)
     if earlier is None or row_of is None:
-        return FilePoints(table, table, None, verdict, counts, Origin(added=len(table)))
-    return _with_history(FilePoints(table, table, None, verdict, counts, Origin()), earlier, row_of, pair)
+        return FilePoints(table, table, None, reason, counts, Origin(added=len(table)))
+    return _with_history(FilePoints(table, table, None, reason, counts, Origin()), earlier, row_of, pair)
 
 
 def _contradicted(

@@ -89,16 +89,16 @@ class Quality:
         reasons = sorted((*self.reasons, Reason(grade, text)), key=lambda reason: GRADES.index(reason.grade))
         return replace(self, grade=reasons[0].grade, reasons=tuple(reasons))
 
-    def refusal(self, parameters: QualityParameters = QualityParameters()) -> str | None:
-        """Return why no corrected raster should be made; None if one may be.
+    @property
+    def refusal(self) -> str | None:
+        """Why no corrected raster should be made; None if one may be.
 
         Good points are never refused because of the ground beyond them; a poor correction is refused if
         hardly any of the matches or of the ground support it.
         """
-        little_kept, extrapolated = (
-            self.kept_share < parameters.poor_kept_share,
-            self.extrapolated_share > parameters.poor_extrapolated_share,
-        )
+        parameters = QualityParameters()
+        little_kept = self.kept_share < parameters.poor_kept_share
+        extrapolated = self.extrapolated_share > parameters.poor_extrapolated_share
         if self.grade != "poor" or not (little_kept or extrapolated):
             return None
         share = self.kept_share if little_kept else self.extrapolated_share

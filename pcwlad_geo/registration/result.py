@@ -25,12 +25,12 @@ from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.rpc.placement import RpcPlacement
 from pcwlad_geo.raster.source import RasterInfo, bands_of
+from pcwlad_geo.registration.decision import Decision
 from pcwlad_geo.registration.inputs import InputFile
-from pcwlad_geo.registration.judge import Verdict
 from pcwlad_geo.registration.match_record import MatchRecord
 from pcwlad_geo.registration.motions import Motion
 from pcwlad_geo.registration.point_file import Origin
-from pcwlad_geo.registration.quality import Doubt, Quality
+from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.registration.rpc import RpcRegistration
 from pcwlad_geo.registration.starts.alignment import Prealignment, direct_start, searches_first
 from pcwlad_geo.registration.tiles import TileJob
@@ -150,8 +150,8 @@ class Matches(Shown):
     pair: Pair
     tie_points: TiePointTable
     """Status ``matched`` or ``rejected``; no more than were wanted."""
-    verdict: Verdict
-    """Whether the pair is matched reliably, and by what evidence."""
+    decision: Decision
+    """Whether the pair is matched reliably, by what evidence, and with what doubts."""
     counts: dict[str, int]
     """Candidates and what became of them, stage by stage, in order."""
     prealignment: Prealignment
@@ -170,8 +170,6 @@ class Matches(Shown):
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
-    frame_doubt: str | None = None
-    """Why they may belong to the frames, not to the ground (`frame_evidence`); None where nothing says so."""
     job: TileJob | None = None
     """One of the tiles, as all were matched; None for points of a file."""
     scales: Scales | None = None
@@ -180,8 +178,6 @@ class Matches(Shown):
     """Of points of a file; None of those that were matched here."""
     roles: NDArray[np.str_] | None = None
     """(n,) what an earlier fit used the points of a file for; None where that is to be chosen."""
-    doubts: tuple[Doubt, ...] = ()
-    """What speaks against the displacement taken."""
     warnings: tuple[str, ...] = ()
     """Of all steps up to this one."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -193,17 +189,12 @@ class Matches(Shown):
     @property
     def accepted(self) -> bool:
         """Whether the tie points can be trusted, so that a correction may be fitted."""
-        return self.verdict.accepted
+        return self.decision.accepted
 
     @property
     def reason(self) -> str | None:
         """Why not, and what to do; None where they can."""
-        if self.verdict.reason is None or self.pair.rpc is None:
-            return self.verdict.reason
-        return (
-            f"{self.verdict.reason}; check also that the RPC in {self.pair.rpc.source.origin} belongs to the "
-            "target as it is, not to an image that it was cropped or decimated from"
-        )
+        return self.decision.refusal
 
     def _more(self) -> dict[str, str]:
         return {"warnings": "; ".join(self.warnings) or "none"}
@@ -229,9 +220,8 @@ def _band_text(info: RasterInfo) -> str:
 class Registration(Shown):
     """What a job found, written or not."""
 
-    status: RegistrationStatus
-    reason: str | None
-    """Why it was rejected; None otherwise."""
+    decision: Decision
+    """Whether it was registered, and all that speaks for and against it."""
     warnings: tuple[str, ...]
     reference: RasterInfo
     target: RasterInfo
@@ -259,12 +249,8 @@ class Registration(Shown):
     """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
-    quality: Quality | None = None
-    """How good the registration is, or why it was rejected after the fit; None where nothing was fitted."""
     record: MatchRecord | None = None
     """What the matching did where; None where that is not known."""
-    requirements: tuple[RequirementResult, ...] = ()
-    """What became of each requirement."""
     inputs: tuple[InputFile, ...] = ()
     """The files that the job read, as they were before it opened any of them."""
     window_px: int | None = None
@@ -294,6 +280,28 @@ class Registration(Shown):
         return facts
 
     @property
+    def status(self) -> RegistrationStatus:
+        """Whether the pair was registered, rejected, or only matched."""
+        if not self.decision.accepted:
+            return "rejected"
+        return "matched" if self.correction is None else "registered"
+
+    @property
+    def reason(self) -> str | None:
+        """Why it was rejected; None otherwise."""
+        return self.decision.refusal
+
+    @property
+    def quality(self) -> Quality | None:
+        """How good it is, or why it was rejected after the fit; None where nothing was fitted."""
+        return self.decision.quality
+
+    @property
+    def requirements(self) -> tuple[RequirementResult, ...]:
+        """What became of each requirement."""
+        return self.decision.requirements
+
+    @property
     def passed(self) -> bool | None:
         """Whether all requirements are met; None where nothing was required."""
-        return all(requirement.met for requirement in self.requirements) if self.requirements else None
+        return self.decision.passed

@@ -17,7 +17,7 @@ from pcwlad_geo.registration.assessment import fit_pair
 from pcwlad_geo.registration.fitting import AssessedFit
 from pcwlad_geo.registration.matching import match_pair
 from pcwlad_geo.registration.opening import prepare_pair
-from pcwlad_geo.registration.result import Matches, Registration, RegistrationStatus
+from pcwlad_geo.registration.result import Matches, Registration
 from pcwlad_geo.registration.rpc import (
     corrected_rpc,
 )
@@ -124,14 +124,12 @@ def conclude(matches: Matches, assessed: AssessedFit | None = None) -> Registrat
     The `assessed` is of these tie points.
     """
     pair = matches.pair
-    rejected = not matches.accepted or (assessed is not None and assessed.refusal is not None)
-    status: RegistrationStatus = "rejected" if rejected else "registered" if assessed else "matched"
-    fitted = None if assessed is None or rejected else assessed.fitted
+    decision = assessed.decision if assessed else matches.decision
+    fitted = assessed.fitted if assessed and decision.accepted else None
     correction = fitted.correction if fitted else None
     grid = at_mean_height(pair.target.grid)
     return Registration(
-        status=status,
-        reason=assessed.refusal if assessed else matches.reason,
+        decision=decision,
         warnings=assessed.warnings if assessed else matches.warnings,
         reference=pair.reference,
         target=pair.target,
@@ -148,7 +146,6 @@ def conclude(matches: Matches, assessed: AssessedFit | None = None) -> Registrat
         geometry=matches.geometry,
         motions=matches.motions,
         jitter_px=matches.jitter_px,
-        quality=assessed.quality if assessed else None,
         record=matches.record,
         rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
         inputs=pair.inputs,

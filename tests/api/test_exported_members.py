@@ -22,11 +22,10 @@ FUNCTIONS = {
     "rig_apply", "rig_learn", "stack", "stack_add", "warp", "watch",
 }  # fmt: skip
 RESULTS = {
-    "Accuracy", "BatchResult", "Correction", "FittedCorrection", "Grid", "Matches", "Pair", "PairResult",
-    "Pose", "Prealignment", "Proof", "QaResult", "Quality", "RasterInfo", "Registration", "RequirementResult",
-    "CaptureOutcome", "Rig", "RigApplied", "RigLens",
-    "Stack", "StackImage", "StackPair", "StackQuality", "TiePointTable", "TiePoints", "Verdict",
-    "WatchNumbers",
+    "Accuracy", "BatchResult", "CaptureOutcome", "Correction", "Decision", "FittedCorrection", "Grid",
+    "Matches", "Pair", "PairResult", "Pose", "Prealignment", "Proof", "QaResult", "Quality", "RasterInfo",
+    "Registration", "RequirementResult", "Rig", "RigApplied", "RigLens", "Stack", "StackImage",
+    "StackPair", "StackQuality", "TiePointTable", "TiePoints", "WatchNumbers",
 }  # fmt: skip
 ARGUMENTS = {
     "DataArrayLike", "MatchSettings", "Options", "PairOptions", "Raster", "Runner", "Settings", "Trust",

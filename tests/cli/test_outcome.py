@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pcwlad_geo.cli.job import Outcome
+from pcwlad_geo.registration import Decision
 from tests.registrations import json_of, make_registration, without_crs
 
 
@@ -39,11 +40,11 @@ def test_the_quality_of_a_part_is_told_beside_that_of_all() -> None:
     assert made.quality is not None
     of_all = Outcome(json_of(made), {"numbers": Path("report.json")}).text()
     assert "90 % of the common ground is expected to lie within 0.12 px (" in of_all
-    part = replace(made, quality=replace(made.quality, whole=(0.77, 0.226)))
+    part = replace(made, decision=Decision(quality=replace(made.quality, whole=(0.77, 0.226))))
     text = Outcome(json_of(part), {"numbers": Path("report.json")}).text()
     assert "90 % of the ground that was compared is expected to lie within 0.12 px (" in text
     assert ", and of all that both show within 0.77 px (" in text
-    part = replace(made, quality=replace(made.quality, whole=(0.0014, 0.0004)))
+    part = replace(made, decision=Decision(quality=replace(made.quality, whole=(0.0014, 0.0004))))
     assert "within 0.001 px (" in Outcome(json_of(part), {"numbers": Path("report.json")}).text()
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pcwlad_geo.raster.view import Patch
 from pcwlad_geo.registration.advice import refusal
-from pcwlad_geo.registration.judge import Verdict
+from pcwlad_geo.registration.decision import Decision, Evidence
 from pcwlad_geo.registration.starts.alignment import Prealignment
 from pcwlad_geo.registration.starts.overviews import has_few_values
 from pcwlad_geo.registration.starts.pose import Pose
@@ -19,7 +19,7 @@ FACTS = "only 7 of 900 candidates agree"
 
 def reason(method: str, *, beyond: bool, searched: bool, georeferenced: bool = True) -> str:
     start = Prealignment(method, (3.0, 4.0), 18, searched)
-    return refusal(Verdict(False, FACTS, 9, 1, 0.0, beyond), start, georeferenced=georeferenced)
+    return refusal(Decision(FACTS, Evidence(9, 1, 0.0, beyond)), start, georeferenced=georeferenced)
 
 
 @pytest.mark.parametrize("beyond", [True, False])
@@ -49,7 +49,7 @@ def test_frames_without_a_start_need_a_rough_geotransform() -> None:
 
 def test_gaps_are_filled_first() -> None:
     start = Prealignment("georeferencing", (0.0, 0.0), 18, True)
-    said = refusal(Verdict(False, FACTS, 9, 1, 0.0, False, few_valid=True), start)
+    said = refusal(Decision(FACTS, Evidence(9, 1, 0.0, False, few_valid=True)), start)
     assert said.index("gdal_fillnodata.py") < said.index("bands that look alike")
 
 
@@ -67,7 +67,7 @@ def test_where_it_found_a_start_a_larger_radius_about_that_is_advised() -> None:
 def test_the_best_pose_is_named_with_the_number_of_starts() -> None:
     pose = Pose(5.04, (1.02, 1.01), 0.3, (12.0, -7.0))
     start = Prealignment("pose", (0.0, 0.0), 11, True, pose, 1.2, tried=4)
-    said = refusal(Verdict(False, FACTS, 40, 9, 3.0, False), start)
+    said = refusal(Decision(FACTS, Evidence(40, 9, 3.0, False)), start)
     assert said.startswith(FACTS)
     assert "the best of 4 starts" in said
     assert "rotation 5.0 degrees, scale 1.020 x 1.010" in said
@@ -76,7 +76,7 @@ def test_the_best_pose_is_named_with_the_number_of_starts() -> None:
 def test_what_the_search_found_is_told_with_its_chance_although_nothing_matches() -> None:
     pose = Pose(0.0, (1.0, 1.0), 0.0, (-66.1, 38.0))
     start = Prealignment("pose", (0.0, 0.0), 11, True, pose, 3.2)
-    verdict = Verdict(False, "no structure to match", 0, 0, 0.0)
+    verdict = Decision("no structure to match", Evidence(0, 0, 0.0))
     said = refusal(verdict, start, few_values=["water.tif"])
     assert said.startswith("no structure to match: ")
     assert "(-66, +38) px" in said
@@ -85,10 +85,10 @@ def test_what_the_search_found_is_told_with_its_chance_although_nothing_matches(
 
 
 def test_what_is_no_matter_of_the_search_stays_as_it_is() -> None:
-    verdict = Verdict(False, "no structure to match", 0, 0, 0.0)
+    verdict = Decision("no structure to match", Evidence(0, 0, 0.0))
     start = Prealignment("georeferencing", (0.0, 0.0), 12)
     assert refusal(verdict, start) == "no structure to match"
-    assert refusal(replace(verdict, reason=None), start) == ""
+    assert refusal(replace(verdict, refusal=None), start) == ""
 
 
 def test_two_values_are_a_mask_and_a_picture_is_none() -> None:

@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.matching import TiePoints
-from pcwlad_geo.registration.judge import JudgeParameters, Verdict, judge
+from pcwlad_geo.registration.decision import Decision
+from pcwlad_geo.registration.judge import JudgeParameters, judge
 
 LEAST_POINTS = JudgeParameters().least_points
 
@@ -27,16 +28,16 @@ def matches(n: int, side_px: float, *, right: float, seed: int = 0) -> tuple[Tie
     return TiePoints(xy, xy + moved, covariance, np.full(n, 0.5), np.zeros(n)), kept
 
 
-def verdict(points: tuple[TiePoints, NDArray[np.bool_]], **counts: int) -> Verdict:
+def verdict(points: tuple[TiePoints, NDArray[np.bool_]], **counts: int) -> Decision:
     return judge(*points, {**COUNTS, **counts}, WINDOW_PX, RADIUS_PX)
 
 
 def test_points_that_agree_all_over_the_scene_are_accepted() -> None:
     found = verdict(matches(200, 400, right=0.9))
     assert found.accepted
-    assert found.reason is None
+    assert found.refusal is None
     assert found.significance > 20
-    assert found.agreeing_cells > 0.8 * found.cells
+    assert found.evidence.agreeing_cells > 0.8 * found.evidence.cells
 
 
 def test_random_matches_are_refused() -> None:
@@ -45,8 +46,8 @@ def test_random_matches_are_refused() -> None:
         near = np.linalg.norm(points.displacement_px - np.median(points.displacement_px, axis=0), axis=1) < 3
         found = verdict((points, near))
         assert not found.accepted
-        assert "no better than chance" in (found.reason or "")
-        assert f"{int(near.sum())} of 200 candidates" in (found.reason or "")
+        assert "no better than chance" in (found.refusal or "")
+        assert f"{int(near.sum())} of 200 candidates" in (found.refusal or "")
 
 
 def test_agreement_but_for_whole_blocks_of_jpeg_is_little_evidence() -> None:
@@ -58,14 +59,14 @@ def test_agreement_but_for_whole_blocks_of_jpeg_is_little_evidence() -> None:
         moved = np.where(kept[:, None], 0.0, rng.choice([(-8, 0), (0, 8), (-8, 8), (-16, 8)], 200))
         by_blocks = replace(points, target_xy_px=points.reference_xy_px + np.array([3.0, -2.0]) + moved)
         found = verdict((by_blocks, kept))
-        assert found.agreeing_cells >= 8
+        assert found.evidence.agreeing_cells >= 8
         assert found.accepted is accepted
-        assert accepted or "JPEG" in (found.reason or "")
+        assert accepted or "JPEG" in (found.refusal or "")
 
 
 def test_many_points_in_one_place_are_one_witness() -> None:
     found = verdict(matches(200, 40, right=1.0))
-    assert found.cells <= 4
+    assert found.evidence.cells <= 4
     assert not found.accepted
 
 
@@ -109,10 +110,10 @@ def test_points_that_agree_and_are_too_few_are_not_called_chance(n: int, side_px
     """A radius raised would not help them: there is no more ground."""
     found = verdict(matches(n, side_px, right=1.0))
     assert not found.accepted
-    assert f"{n} tie points agree" in (found.reason or "")
-    assert "share more ground" in (found.reason or "")
-    assert "chance" not in (found.reason or "")
-    assert found.past_search_border is None
+    assert f"{n} tie points agree" in (found.refusal or "")
+    assert "share more ground" in (found.refusal or "")
+    assert "chance" not in (found.refusal or "")
+    assert found.evidence.past_search_border is None
 
 
 def test_an_affine_field_counts_as_agreement() -> None:
@@ -125,7 +126,7 @@ def test_an_affine_field_counts_as_agreement() -> None:
 def test_no_point_at_all() -> None:
     found = verdict((TiePoints.empty(), np.zeros(0, bool)))
     assert not found.accepted
-    assert found.cells == found.agreeing_cells == 0
+    assert found.evidence.cells == found.evidence.agreeing_cells == 0
 
 
 @pytest.mark.parametrize(
@@ -137,8 +138,8 @@ def test_no_point_at_all() -> None:
 )
 def test_the_reason_says_what_to_do(counts: dict[str, int], advice: str) -> None:
     found = verdict(matches(100, 400, right=0.0), **counts)
-    assert re.search(advice, found.reason or "")
-    assert found.past_search_border is None
+    assert re.search(advice, found.refusal or "")
+    assert found.evidence.past_search_border is None
 
 
 @pytest.mark.parametrize(("at_search_border", "past_border"), [(80, True), (20, False)])
@@ -146,5 +147,5 @@ def test_many_matches_on_the_edge_of_the_search_tell_of_what_lies_beyond(
     at_search_border: int, past_border: bool
 ) -> None:
     found = verdict(matches(100, 400, right=0.0), at_search_border=at_search_border)
-    assert "no better than chance" in (found.reason or "")
-    assert found.past_search_border is past_border
+    assert "no better than chance" in (found.refusal or "")
+    assert found.evidence.past_search_border is past_border

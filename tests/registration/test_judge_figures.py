@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.matching import TiePoints
-from pcwlad_geo.registration.judge import JudgeParameters, Verdict, judge
+from pcwlad_geo.registration.decision import Decision
+from pcwlad_geo.registration.judge import JudgeParameters, judge
 
 WINDOW_PX, CELL_PX = 40, 30.0
 """Places lie more than half a window apart."""
@@ -25,7 +26,7 @@ def verdict(
     kept: Moves = (RIGHT,),
     parameters: JudgeParameters = JudgeParameters(),
     **counts: int,
-) -> Verdict:
+) -> Decision:
     """Judge matches of these displacements, cell by cell; those listed as kept are the consistent ones."""
     placed = [
         ((CELL_PX * number + 0.1 * i, 0.0), move)
@@ -55,7 +56,7 @@ def by_hand(agreeing: int, cells: int, radius_px: int) -> float:
 @pytest.mark.parametrize(("agreeing", "cells"), [(1, 20), (8, 8), (12, 20)])
 def test_the_significance_is_the_one_by_hand(agreeing: int, cells: int, radius_px: int) -> None:
     found = verdict([[RIGHT]] * agreeing + [[WRONG]] * (cells - agreeing), radius_px=radius_px)
-    assert (found.cells, found.agreeing_cells) == (cells, agreeing)
+    assert (found.evidence.cells, found.evidence.agreeing_cells) == (cells, agreeing)
     assert found.significance == pytest.approx(by_hand(agreeing, cells, radius_px), abs=1e-9)
 
 
@@ -65,7 +66,7 @@ def test_four_separate_places_must_agree() -> None:
         found = verdict([[RIGHT] * 8] * cells, radius_px=500)
         assert found.significance > JudgeParameters().least_significance
         assert found.accepted is accepted
-        assert found.agreeing_cells == cells
+        assert found.evidence.agreeing_cells == cells
 
 
 def test_the_significance_decides_where_places_are_enough() -> None:
@@ -86,26 +87,30 @@ def test_a_significance_at_the_limit_suffices() -> None:
 )
 def test_a_place_agrees_within_two_pixels(off_px: float, agrees: bool) -> None:
     found = verdict([[(0.0, 0.0)] * 3] * 4 + [[(off_px, 0.0)]], kept=[(0.0, 0.0)])
-    assert found.agreeing_cells == 4 + agrees
+    assert found.evidence.agreeing_cells == 4 + agrees
 
 
 @pytest.mark.parametrize(("right", "of", "agrees"), [(1, 1, 1), (1, 2, 1), (1, 3, 0), (2, 3, 1), (2, 5, 0)])
 def test_half_of_the_matches_of_a_place_must_agree(right: int, of: int, agrees: int) -> None:
     found = verdict([[RIGHT] * 3] * 4 + [[RIGHT] * right + [WRONG] * (of - right)])
-    assert (found.cells, found.agreeing_cells) == (5, 4 + agrees)
+    assert (found.evidence.cells, found.evidence.agreeing_cells) == (5, 4 + agrees)
 
 
 def test_the_common_displacement_is_the_median_of_the_consistent_ones() -> None:
     far = (100.0, 100.0)
-    assert verdict([[RIGHT]] * 9 + [[far]] * 3 + [[WRONG]] * 30, kept=[RIGHT, far]).agreeing_cells == 9
-    assert verdict([[RIGHT]] * 3 + [[far]] * 2, kept=[]).agreeing_cells == 3, "of all, where none is kept"
+    assert (
+        verdict([[RIGHT]] * 9 + [[far]] * 3 + [[WRONG]] * 30, kept=[RIGHT, far]).evidence.agreeing_cells == 9
+    )
+    assert verdict([[RIGHT]] * 3 + [[far]] * 2, kept=[]).evidence.agreeing_cells == 3, (
+        "of all, where none is kept"
+    )
 
 
 @pytest.mark.parametrize(("points", "agreeing"), [(35, 3), (36, 36)])
 def test_the_common_displacement_is_a_plane_from_36_points_on(points: int, agreeing: int) -> None:
     """Each place has moved 1.5 px further than the one before."""
     moves = [(1.5 * number, 0.0) for number in range(points)]
-    assert verdict([[move] for move in moves], kept=moves).agreeing_cells == agreeing
+    assert verdict([[move] for move in moves], kept=moves).evidence.agreeing_cells == agreeing
 
 
 def test_a_steep_plane_is_one_of_many_and_says_less_than_a_level_one() -> None:
@@ -113,38 +118,38 @@ def test_a_steep_plane_is_one_of_many_and_says_less_than_a_level_one() -> None:
     moves = [(1.5 * number, 0.0) for number in range(36)]
     steep = verdict([[move] for move in moves], kept=moves)
     rise_px = 1.5 * 35 / 2
-    assert steep.agreeing_cells == level.agreeing_cells == 36
+    assert steep.evidence.agreeing_cells == level.evidence.agreeing_cells == 36
     assert level.significance - steep.significance == pytest.approx(np.log10(1 + rise_px / 2.0))
 
 
 def test_the_displacement_of_all_counts_where_wrong_points_tilt_the_plane() -> None:
     far = (12.0, 0.0)
     found = verdict([[RIGHT] * 2] * 30 + [[far] * 2] * 8, kept=[RIGHT, far])
-    assert found.agreeing_cells == 30
+    assert found.evidence.agreeing_cells == 30
 
 
 @pytest.mark.parametrize(
     ("agreeing", "cells", "few"), [(3, 4, True), (2, 3, False), (1, 1, True), (2, 4, False)]
 )
 def test_places_that_mostly_agree_are_too_few_and_not_chance(agreeing: int, cells: int, few: bool) -> None:
-    reason = verdict([[RIGHT]] * agreeing + [[WRONG]] * (cells - agreeing)).reason or ""
+    reason = verdict([[RIGHT]] * agreeing + [[WRONG]] * (cells - agreeing)).refusal or ""
     assert ("tie points agree" in reason) is few
     assert ("no better than chance" in reason) is not few
 
 
 def test_many_points_in_few_places_are_told_to_lack_places() -> None:
     """Not to be fewer than the least number of points, which they exceed."""
-    reason = verdict([[RIGHT] * 30] * 3).reason or ""
+    reason = verdict([[RIGHT] * 30] * 3).refusal or ""
     assert reason.startswith("90 tie points agree, in 3 of 3 separate places")
     assert "more places are needed" in reason
     assert "at least" not in reason
-    assert "at least 12 are needed" in (verdict([[RIGHT]] * 3).reason or "")
+    assert "at least 12 are needed" in (verdict([[RIGHT]] * 3).refusal or "")
 
 
 def test_no_point_at_all_is_no_agreement() -> None:
     found = verdict([])
-    assert (found.reason or "").startswith("none of the 200 candidates agrees")
-    assert (found.agreeing_cells, found.cells) == (0, 0)
+    assert (found.refusal or "").startswith("none of the 200 candidates agrees")
+    assert (found.evidence.agreeing_cells, found.evidence.cells) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +162,7 @@ def test_no_point_at_all_is_no_agreement() -> None:
     ],
 )
 def test_what_cannot_be_matched_at_all_is_said_first(counts: dict[str, int], said: str) -> None:
-    assert said in (verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).reason or "")
+    assert said in (verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).refusal or "")
 
 
 @pytest.mark.parametrize(
@@ -169,4 +174,4 @@ def test_what_cannot_be_matched_at_all_is_said_first(counts: dict[str, int], sai
     ],
 )
 def test_a_quarter_on_the_edge_of_the_search_is_not_many(counts: dict[str, int], past_border: bool) -> None:
-    assert verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).past_search_border is past_border
+    assert verdict([[RIGHT]] * 2 + [[WRONG]] * 8, **counts).evidence.past_search_border is past_border

@@ -374,7 +374,7 @@ def test_a_doubtful_pose_has_to_be_accepted_twice_and_one_of_grey_values_each_ti
     monkeypatch: pytest.MonkeyPatch, evidence: float, must_stand: bool, verdicts: list[bool], accepted: bool
 ) -> None:
     result, left = settle(monkeypatch, evidence, must_stand, verdicts, moved_px=50.0)
-    assert result.verdict.accepted == accepted
+    assert result.decision.accepted == accepted
     assert left == 0, "all rounds were needed"
 
 
@@ -383,7 +383,7 @@ def test_a_pose_that_moves_no_more_is_settled(
     moved_px: float, rounds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result, left = settle(monkeypatch, 5.0, False, [True] * 3, moved_px)
-    assert result.verdict.accepted
+    assert result.decision.accepted
     assert left == 3 - rounds
 
 
@@ -405,7 +405,7 @@ def settle(
     def matched(verdict: bool) -> Any:
         accepted = SimpleNamespace(accepted=verdict)
         return SimpleNamespace(
-            matches=np.zeros(3), consistent=slice(None), prealignment=prealignment, verdict=accepted
+            matches=np.zeros(3), consistent=slice(None), prealignment=prealignment, decision=accepted
         )
 
     upcoming = list(map(matched, verdicts))

@@ -15,6 +15,7 @@ from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.matching.noise import noise_level
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.registration.decision import Decision
 from pcwlad_geo.registration.matching import match_pair
 from pcwlad_geo.registration.opening import prepare_pair
 from pcwlad_geo.registration.proof.classes import sigma_entry
@@ -300,7 +301,7 @@ def test_a_result_that_is_accepted_and_lies_elsewhere_is_wrong(matched: Matches)
 
 def test_a_part_that_is_refused_as_it_lies_tells_nothing(matched: Matches) -> None:
     def refuse(reference: str, target: str, settings: Settings) -> Registration:
-        return replace(register_pair(reference, target, settings), status="rejected")
+        return replace(register_pair(reference, target, settings), decision=Decision("no"))
 
     assert sensitivity(matched, refuse, JobLog(ignore)) is None
 

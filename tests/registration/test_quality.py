@@ -63,7 +63,7 @@ def test_a_shift_that_holds_is_good() -> None:
     assert quality.reasons == ()
     assert 0 < quality.expected_ce90_px < 0.25
     assert quality.extrapolated_share == 0
-    assert quality.refusal() is None
+    assert quality.refusal is None
 
 
 @pytest.mark.parametrize(("size_px", "grade"), [(0.6, "fair"), (3.0, "poor")])
@@ -73,7 +73,7 @@ def test_displacements_that_the_model_leaves_are_told_with_their_figure(size_px:
     assert any("parallax" in reason.text for reason in quality.reasons)
     true = np.percentile(np.linalg.norm(waves(everywhere(), size_px, 300), axis=1), 90)
     assert quality.expected_ce90_px == pytest.approx(true, rel=0.2)
-    assert quality.refusal() is None  # the points are good: the reader decides
+    assert quality.refusal is None  # the points are good: the reader decides
 
 
 def test_noise_beyond_the_sigmas_is_not_called_parallax() -> None:
@@ -109,7 +109,7 @@ def test_an_island_in_a_flat_sea_is_told_not_refused() -> None:
     quality = graded(table_of(1.5)[island])
     assert quality.extrapolated_share > 0.8
     assert quality.grade == "fair"
-    assert quality.refusal() is None
+    assert quality.refusal is None
 
 
 def test_a_part_that_moves_on_its_own_is_told_from_noise() -> None:
@@ -158,15 +158,15 @@ def near_field() -> TiePointTable:
 def test_a_correction_of_few_points_that_does_not_fit_them_is_refused() -> None:
     quality = graded(near_field(), "shift")
     assert quality.grade == "poor"
-    assert quality.refusal() is not None
-    assert "12 % of the matches agree" in quality.refusal()
+    assert quality.refusal is not None
+    assert "12 % of the matches agree" in quality.refusal
 
 
 def test_a_poor_correction_of_good_points_is_not_refused() -> None:
     moved = np.where(places_of()[:, :1] < 300, 0.0, 20.0)
     quality = graded(table_of(np.hstack([moved, moved])), "shift")
     assert quality.grade == "poor"
-    assert quality.refusal() is None
+    assert quality.refusal is None
 
 
 def residuals(displacement_px: Float64 | float, noise_px: float = SIGMA_PX) -> TiePointTable:

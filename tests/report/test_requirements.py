@@ -74,7 +74,7 @@ def test_what_cannot_be_known_is_not_met_and_says_why(registration: Make) -> Non
 def test_the_page_shows_them(registration: Make) -> None:
     made = registration()
     wanted = [parse_requirement(text, "register") for text in ("CE90<=0.01px", "points>=100")]
-    made = replace(made, requirements=judge_requirements(made, wanted))
+    made = replace(made, decision=replace(made.decision, requirements=judge_requirements(made, wanted)))
     report = summarise(made, [])
     shown = page.report_page(report, page.compose(made, report, None))
     assert "Registered, but a requirement is not met" in shown
@@ -87,7 +87,7 @@ def test_met_by_the_points_of_ground_that_is_poor(registration: Make) -> None:
     made = registration()
     assert made.quality is not None
     quality = replace(made.quality.at_most("poor", "clouds"), expected_ce90_px=1.94)
-    doubtful = replace(made, quality=quality)
+    doubtful = replace(made, decision=replace(made.decision, quality=quality))
     found = judged(doubtful, "CE90<=1px")
     assert found.met
     assert found.text.endswith(
@@ -98,7 +98,8 @@ def test_met_by_the_points_of_ground_that_is_poor(registration: Make) -> None:
     assert judged(doubtful, "CE90<=0.01px").caveat is None  # it is not met in any case
     assert judged(doubtful, "quality>=poor").caveat is None  # the grade itself was asked for
     assert judged(doubtful, "points>=1").caveat is None
-    report = summarise(replace(doubtful, requirements=(found,)), [])
+    decision = replace(doubtful.decision, requirements=(found,))
+    report = summarise(replace(doubtful, decision=decision), [])
     shown = page.report_page(report, page.compose(doubtful, report, None))
     assert '<li class="caution"><strong><span class="mark">!</span> CE90 &lt;= 1 px' in shown
     ending = Outcome(plain(report), {"numbers": Path("report.json")}).text()

@@ -23,7 +23,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.write import NAMES
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration import Prealignment, Registration
+from pcwlad_geo.registration import Decision, Prealignment, Registration
 from pcwlad_geo.report import figures
 from pcwlad_geo.report.page import Answer, Headline, State, page_environment
 from pcwlad_geo.report.views import pair_views, read_backdrop
@@ -235,8 +235,7 @@ def _worst_registration(
         correction = AffineCorrection("affine", affine_between(predicted, displaced_px))
     table = _table(reference, at_px, observed_px, predicted, correction)
     return Registration(
-        status="registered",
-        reason=None,
+        decision=Decision(),
         warnings=(),
         reference=reference,
         target=target,

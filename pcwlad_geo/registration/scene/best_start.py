@@ -44,21 +44,20 @@ def match_from_best_start(
             if start.prealignment.pose is None:
                 raise
             continue  # a pose in which too little is common
-        if scene.verdict.accepted and start.prealignment.pose is not None:
+        if scene.decision.accepted and start.prealignment.pose is not None:
             scene, start = match_again_in_pose(scene, start, context)
-        if scene.verdict.accepted:
+        if scene.decision.accepted:
             return _on_its_ground(scene, start, pair, context), start.pair
-        if best is None or scene.verdict.significance >= best[0].verdict.significance:
+        if best is None or scene.decision.significance >= best[0].decision.significance:
             best = scene, start
     if best is None:
         raise InputError("no start for the matching: give --prealign auto")
     scene, start = best
     prealignment = replace(scene.prealignment, searched=searched, tried=count)
     few_values = with_few_values(pair, overviews)
-    reason = refusal(scene.verdict, prealignment, georeferenced=pair.georeferenced, few_values=few_values)
+    reason = refusal(scene.decision, prealignment, georeferenced=pair.georeferenced, few_values=few_values)
     reason += note_of_sizes(pair) if searched else ""
-    verdict = replace(scene.verdict, reason=reason)
-    return replace(scene, prealignment=prealignment, verdict=verdict), start.pair
+    return replace(scene, prealignment=prealignment, decision=scene.decision.refused(reason)), start.pair
 
 
 def _on_its_ground(
@@ -66,8 +65,10 @@ def _on_its_ground(
 ) -> SceneMatches:
     """Return the matches at the displacement of the ground, and of all of it, as far as that can be known."""
     scene = compare_with_rivals(scene, start, context)
-    scene = replace(select_ground_motion(scene, start, context), doubts=scene.doubts)
-    if scene.verdict.accepted:
+    doubts = scene.decision.doubts
+    scene = select_ground_motion(scene, start, context)
+    scene = replace(scene, decision=replace(scene.decision, doubts=doubts))
+    if scene.decision.accepted:
         scene = reach_all_ground(scene, start, context)
         warn_of_start(pair, scene.prealignment, context)
     return scene
@@ -91,7 +92,7 @@ def match_again_from_shifted_rpc(
         prealignment = by_georeferencing(context.settings.search_radius)
         start = StartingAlignment(prealignment, shifted_pair, read_overviews(shifted_pair))
         latest = match_scene(start, context)
-        if not latest.verdict.accepted:
+        if not latest.decision.accepted:
             break
         scene, pair = replace(latest, prealignment=scene.prealignment), shifted_pair
     return scene, pair

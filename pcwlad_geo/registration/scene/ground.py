@@ -8,6 +8,7 @@ import numpy as np
 
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.raster.grid import middle_pixel_size_m
+from pcwlad_geo.registration.decision import with_doubts
 from pcwlad_geo.registration.motions import motion_of_the_ground
 from pcwlad_geo.registration.rivals import (
     doubt_of_rivals,
@@ -38,7 +39,7 @@ def select_ground_motion(
     motions, usual, reason = motion_of_the_ground(scene.motions, scene.consistent, error_px, one_product, by)
     scene = replace(scene, motions=motions)
     if reason is not None:
-        return replace(scene, verdict=replace(scene.verdict, accepted=False, reason=reason))
+        return replace(scene, decision=scene.decision.refused(reason))
     if error_px is None or len(motions) < 2:  # parts of frames move by their depth, and are right
         return scene
     if motions[0] is not usual:  # again, beyond the reach of the others
@@ -80,10 +81,11 @@ def compare_with_rivals(scene: SceneMatches, start: StartingAlignment, context: 
         if rival_start is None or not (rivals[0].is_better and may_move(context.settings)):
             break
         rival = match_scene(rival_start, context)
-        if not rival.verdict.accepted:
+        if not rival.decision.accepted:
             break
         scene = rival
-    return replace(scene, doubts=(doubt_of_rivals(start, scene.displacement_px, rivals, by),))
+    doubt = doubt_of_rivals(start, scene.displacement_px, rivals, by)
+    return replace(scene, decision=with_doubts(scene.decision, doubt))
 
 
 def reach_all_ground(scene: SceneMatches, start: StartingAlignment, context: SceneContext) -> SceneMatches:
@@ -104,6 +106,7 @@ def reach_all_ground(scene: SceneMatches, start: StartingAlignment, context: Sce
     if between is not None and may_move(context.settings):
         whole = match_scene(between, context)
         more = whole.consistent.sum() > consistent.sum()
-        if whole.verdict.accepted and len(whole.motions) < 2 and more:
-            return replace(whole, doubts=scene.doubts)
-    return replace(scene, doubts=(*scene.doubts, doubt_of_unreached(start, ground)))
+        if whole.decision.accepted and len(whole.motions) < 2 and more:
+            return replace(whole, decision=with_doubts(whole.decision, *scene.decision.doubts))
+    doubts = (*scene.decision.doubts, doubt_of_unreached(start, ground))
+    return replace(scene, decision=replace(scene.decision, doubts=doubts))

@@ -11,11 +11,11 @@ import numpy as np
 from pcwlad_geo.matching import Scales, TiePoints
 from pcwlad_geo.matching.epipolar import EPIPOLAR, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.outliers import consistent_points
-from pcwlad_geo.registration.judge import Verdict, agree_closely, judge
+from pcwlad_geo.registration.decision import Decision, Evidence
+from pcwlad_geo.registration.judge import agree_closely, judge
 from pcwlad_geo.registration.match_record import MatchRecord, record_matching
 from pcwlad_geo.registration.motions import Motion, motions_of, patches
 from pcwlad_geo.registration.planning import plan
-from pcwlad_geo.registration.quality import Doubt
 from pcwlad_geo.registration.scene.first_pass import run_first_pass, sum_counts
 from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
 from pcwlad_geo.registration.scene.second_pass import check_second_pass, run_second_pass
@@ -34,7 +34,8 @@ class SceneMatches:
     consistent: Bool
     """(n,) which of them agree with their neighbours, or with the epipolar lines."""
     counts: dict[str, int]
-    verdict: Verdict
+    decision: Decision
+    """By what the tiles gave."""
     prealignment: Prealignment
     record: MatchRecord
     """Of the first pass."""
@@ -54,10 +55,13 @@ class SceneMatches:
     """The windows of the last pass; None where there was none."""
     lost_px: Float64 = field(default_factory=lambda: np.empty((0, 2)))
     """(n, 2) candidates of the first pass that gave no match, view px of the reference (col, row)."""
-    doubts: tuple[Doubt, ...] = ()
-    """What speaks against the displacement taken."""
     first_only: bool = False
     """Whether the first candidates of a small image agreed, so that no others were matched."""
+
+    @property
+    def needs_smaller_windows(self) -> bool:
+        """Whether smaller windows may give the places that are missing."""
+        return self.decision.evidence is not None and self.decision.evidence.smaller_windows
 
     @property
     def displacement_px(self) -> Float64:
@@ -68,23 +72,21 @@ class SceneMatches:
 def match_scene(start: StartingAlignment, context: SceneContext) -> SceneMatches:
     """Match all tiles of a scene from one start, and judge what they gave.
 
-    Where the first candidates of a small image agree, but leave the verdict or the motion of the ground open,
-    all are matched. Where the points agree closely in too few places, and the size of the windows is not
-    given, the scene is matched again with smaller windows, of which more fit into the same ground, and judged
-    by these.
+    Where the first candidates of a small image agree, but leave the decision or the motion of the ground
+    open, all are matched. Where the points agree closely in too few places, and the size of the windows is
+    not given, the scene is matched again with smaller windows, of which more fit into the same ground, and
+    judged by these.
     """
     scene, by = _match_with_windows(start, context), context.parameters
-    if scene.first_only and (not scene.verdict.accepted or len(scene.motions) > 1 or scene.patches):
+    if scene.first_only and (not scene.decision.accepted or len(scene.motions) > 1 or scene.patches):
         context = context.with_settings(features=context.settings.candidates)
         scene = _match_with_windows(start, context)
     settings, latest = context.settings, scene
-    while (
-        settings.window is None and latest.verdict.smaller_windows and latest.window_px > by.least_window_px
-    ):
+    while settings.window is None and latest.needs_smaller_windows and latest.window_px > by.least_window_px:
         window_px = max(by.least_window_px, int(by.few_places_share * latest.window_px) // 2 * 2 + 1)
         smaller = context.with_settings(window=window_px, template=min(settings.template, window_px))
         latest = _match_with_windows(start, smaller)
-        if latest.verdict.accepted:
+        if latest.decision.accepted:
             points = latest.matches[latest.consistent]
             if not agree_closely(points, by.judge):  # edges of nodata pull small windows apart
                 break
@@ -119,11 +121,11 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         evidence=prealignment.net_evidence,
         parameters=by.judge,
     )
-    verdict, second = judged(matches, consistent, counts), None
-    consistent, verdict, epipolar = _by_geometry(
-        matches, consistent, verdict, start, matching.window, context
+    decision, second = judged(matches, consistent, counts), None
+    consistent, decision, epipolar = _by_geometry(
+        matches, consistent, decision, start, matching.window, context
     )
-    if verdict.accepted:
+    if decision.accepted:
         with log.stage("refining"):
             second = run_second_pass(first, matches, consistent, matching, not planned.sites, context)
             fine = replace(matching, window=second.scales.window_px)
@@ -131,7 +133,7 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         first = first.without(checked.lost_of[checked.lost_of >= 0])
         counts = {**sum_counts(first.results), "second_try": int(checked.recovered.sum())}
         if second.incomplete:  # do the others suffice?
-            verdict = judged(first.matches, consistent[: len(first.matches)], counts)
+            decision = judged(first.matches, consistent[: len(first.matches)], counts)
     counts |= {"inconsistent": int((~consistent).sum()), "tie_points": int(consistent.sum())}
     record = record_matching(
         pair, overviews, offset, matching, planned.without_structure, first.jobs, first.results, by.record
@@ -140,7 +142,7 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         matches=matches,
         consistent=consistent,
         counts=counts,
-        verdict=verdict,
+        decision=decision,
         prealignment=prealignment,
         record=record,
         window_px=second.scales.window_px if second else matching.window,
@@ -167,7 +169,7 @@ def _with_motions(
     where = np.asarray(start.pair.offset_px, dtype=np.float64), window_px
     motions: Sequence[tuple[Motion, Bool]] = ()
     moving: Sequence[Motion] = ()
-    if scene.verdict.accepted:
+    if scene.decision.accepted:
         motions = motions_of(matches, consistent, *where, start.prealignment.search_radius_px, by.motions)
     if other_motion:
         moving = patches(matches, consistent, other_motion, *where, by.motions)
@@ -177,12 +179,12 @@ def _with_motions(
 def _by_geometry(
     matches: TiePoints,
     consistent: Bool,
-    verdict: Verdict,
+    decision: Decision,
     start: StartingAlignment,
     window_px: int,
     context: SceneContext,
-) -> tuple[Bool, Verdict, bool]:
-    """Return the consistent matches, the verdict, and whether both are by epipolar lines.
+) -> tuple[Bool, Decision, bool]:
+    """Return the consistent matches, the decision, and whether both are by epipolar lines.
 
     Otherwise they are by a smooth field. Left open, the lines decide for frames alone that are accepted
     without them.
@@ -191,16 +193,17 @@ def _by_geometry(
     least = context.parameters.judge.least_significance
     frames = pair.reference.info.grid.crs is None and not (pair.georeferenced and prealignment.pose is None)
     by_lines = geometry == "epipolar"
-    if geometry == "auto" and frames and verdict.accepted:
+    if geometry == "auto" and frames and decision.accepted:
         by_lines = parallax_evidence(matches, consistent, window_px) >= least
     if not by_lines:
-        return consistent, verdict, False
+        return consistent, decision, False
     on_lines = on_their_lines(matches)
     significance = (
         epipolar_evidence(matches, window_px, prealignment.search_radius_px) + prealignment.net_evidence
     )
-    if not verdict.accepted and on_lines.sum() >= EPIPOLAR.least_matches and significance >= least:
-        verdict = replace(
-            verdict, accepted=True, reason=None, significance=significance, past_search_border=None
-        )
-    return on_lines, verdict, True
+    if not decision.accepted and on_lines.sum() >= EPIPOLAR.least_matches and significance >= least:
+        evidence = Evidence(0, 0, significance)
+        if decision.evidence is not None:
+            evidence = replace(decision.evidence, significance=significance, past_search_border=None)
+        decision = Decision(None, evidence)
+    return on_lines, decision, True

@@ -46,7 +46,7 @@ def match_again_in_pose(
             latest = match_scene(replace(posed, prealignment=prealignment), context)
         except InputError:  # points in a corner of the overlap tell no pose of the whole
             break
-        if not latest.verdict.accepted:
+        if not latest.decision.accepted:
             doubtful = number == 0 and is_doubtful(before.net_evidence, by.judge)
             return (latest, posed) if doubtful or must_stand else (scene, start)
         scene, start = latest, posed
