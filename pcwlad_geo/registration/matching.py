@@ -288,11 +288,6 @@ def _by_matching(
         log.warn(describe_motions(motions, accepted=True))
     for doubt in scene.decision.doubts:
         log.warn(doubt.text)
-    decision = (
-        with_doubts(scene.decision, *_doubts_of_motions(motions))
-        if scene.decision.accepted
-        else scene.decision
-    )
     if scene.decision.accepted and geometry.name == "planar":
         table = _with_error_of_sides(table, scene.matches[scene.consistent], views, log)
     jitter_px = scene.jitter_px * float(file_px_per_px(views.target).max())
@@ -306,7 +301,7 @@ def _by_matching(
     return Matches(
         pair=pair,
         tie_points=table,
-        decision=decision,
+        decision=with_doubts(scene.decision, *_doubts_of_motions(motions)),
         counts=scene.counts,
         prealignment=scene.prealignment,
         record=scene.record,
