@@ -1,7 +1,8 @@
 from .api import FittedCorrection, fit, match, open_pair
 from .band_warping import WarpOptions, warp
-from .correction.error_statistics import Accuracy, Proof
+from .correction.error_statistics import Accuracy
 from .correction.models import Correction
+from .correction.proof_result import Proof
 from .errors import (
     CancelledError,
     ExecutionError,

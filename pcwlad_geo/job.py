@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
     from typing_extensions import Unpack
 
-    from pcwlad_geo.correction.error_statistics import Proof
+    from pcwlad_geo.correction.proof_result import Proof
     from pcwlad_geo.options import Options
     from pcwlad_geo.products.product import ProductBand
     from pcwlad_geo.registration import Registration

@@ -14,7 +14,7 @@ from benchmarks.displacing import displace
 from benchmarks.pairs import write
 from benchmarks.runs import Array, Job, Runner
 from benchmarks.tables import Cell, Check, Table, at_most
-from pcwlad_geo.correction.jitter import peaks, smooth_rest
+from pcwlad_geo.correction.jitter import peaks, without_trend
 from pcwlad_geo.options import Settings
 
 SIDE_PX: Final = 2048
@@ -33,7 +33,7 @@ def jitter(data: Path, scratch: Path, runner: Runner) -> Iterator[Table]:
         if found.selection is None:
             raise RuntimeError(f"the pair was refused: {outcome.reason}")
         points = found.tie_points.select("fit", "check", "unused")
-        rest = smooth_rest(points.predicted_px, points.displacement_px)
+        rest = without_trend(points.predicted_px, points.displacement_px)
         shown = [
             each
             for each in peaks(points.predicted_px, rest, found.selection.footprint_px)

@@ -42,7 +42,7 @@ from benchmarks.studies.refusal import CRS, GRID
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from benchmarks.timing import cheapest
 from benchmarks.unrelated import PAIRINGS, REPOSITORY, Part, unrelated_chips, unrelated_parts
-from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.matching.pose.grey_search import poses_by_grey_values
 from pcwlad_geo.matching.pose.search import search_pose
 from pcwlad_geo.options import Settings
@@ -293,7 +293,9 @@ def _compared(folder: Path, number: int, outcome: Outcome, right_px: float) -> T
     if found is None:
         return Trial(name, outcome, math.nan, right_px)
     true = _true_px(folder, number, at_px, found)
-    shared = [mutual_information(*images, affine_between(at_px, places)) for places in (found, true)]
+    shared = [
+        mutual_information(*images, AffineTransform.fit(at_px, places).rows) for places in (found, true)
+    ]
     corners = np.isin(at_px, [at_px[0], at_px[-1]]).all(axis=1)
     return Trial(
         name,
@@ -375,7 +377,9 @@ def _compared_undone(name: str, job: Job, outcome: Outcome, right_px: float) -> 
     found = _corrected_px(outcome, at_px)
     if found is None:
         return Trial(name, outcome, math.nan, right_px)
-    shared = [mutual_information(image, moving, affine_between(at_px, there)) for there in (found, at_px)]
+    shared = [
+        mutual_information(image, moving, AffineTransform.fit(at_px, there).rows) for there in (found, at_px)
+    ]
     return Trial(name, outcome, mean_distance_px(found, at_px), right_px, (shared[0], shared[1]))
 
 

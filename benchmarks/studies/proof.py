@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 from benchmarks.pairs import write
 from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Check, Table, at_least, at_most, within
-from pcwlad_geo.correction.error_statistics import Proof
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import prove_pair, register_pair
 from pcwlad_geo.tiepoints.table import TiePointTable

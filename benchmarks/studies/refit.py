@@ -23,7 +23,7 @@ import rasterio
 
 from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Check, Table, within
-from pcwlad_geo.correction.models import from_dict
+from pcwlad_geo.correction.reading import from_dict
 
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
 SEEDS: Final = (6, 1, 2, 3, 4)

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from benchmarks.runs import Array, Runner
 from benchmarks.tables import Cell, Table, at_least, at_most
-from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.execution.workers import open_runner
 from pcwlad_geo.multi.stack.adjustment import Adjustment, adjust
 from pcwlad_geo.multi.stack.edges import Edge
@@ -229,7 +229,7 @@ def _paths(edges: Sequence[Edge]) -> dict[int, list[tuple[Edge, bool]]]:
 def _of_edge(edge: Edge, forward: bool, xy: Array) -> Array:
     """Return the displacement that the affine through a pair's points adds along a chain."""
     ends = (edge.first_xy, edge.second_xy) if forward else (edge.second_xy, edge.first_xy)
-    affine = affine_between(*ends)
+    affine = AffineTransform.fit(*ends).rows
     return np.asarray(xy @ affine[:, :2].T + affine[:, 2] - xy)
 
 

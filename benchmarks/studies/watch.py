@@ -89,7 +89,7 @@ def _still(random: np.random.Generator) -> Table:
         if seasonal:
             moved_px = moved_px + _season(years, random)
         model = analyse(years, moved_px, sigma_px)
-        kinds = [found.term.kind for found in model.found]
+        kinds = [found.term.kind for found in model.terms]
         alarms += bool({"step", "drift"} & set(kinds) or (not seasonal and "season" in kinds))
         seasons += seasonal and "season" in kinds
         outliers += int(model.outliers.sum())
@@ -111,7 +111,7 @@ def _hanging_together(random: np.random.Generator) -> Table:
             places *= float(np.mean(SIGMA_PX)) / float(np.median(np.sqrt((places**2).sum(axis=1))))
             covariance = places @ places.T
             moved_px = places @ random.normal(size=(len(design), 2))
-            own += bool(analyse(years, moved_px, np.sqrt(np.diag(covariance)), covariance).found)
+            own += bool(analyse(years, moved_px, np.sqrt(np.diag(covariance)), covariance).terms)
         rows.append(("added one by one" if added else "chosen together", NETWORKS, own))
         alarms += own
     check = at_most("of these, series that are given a term", alarms / (2 * NETWORKS), 0.01)
@@ -169,7 +169,7 @@ def _stepped(random: np.random.Generator) -> Table:
 
 
 def _count(tally: Steps, model: SeriesModel, at: int, size: Array) -> None:
-    steps = [found for found in model.found if found.term.kind == "step"]
+    steps = [found for found in model.terms if found.term.kind == "step"]
     near = [found for found in steps if abs(found.term.at - at) <= EDGE]
     tally.others += len(steps) - bool(near)
     if near:

@@ -37,7 +37,7 @@ from pcwlad_geo.options import OUTPUT_OPTIONS, Settings
 from pcwlad_geo.text import check_exists, one_line, visible
 
 if TYPE_CHECKING:
-    from pcwlad_geo.correction.error_statistics import Proof
+    from pcwlad_geo.correction.proof_result import Proof
 
 UNEXPECTED = 1
 """Exit status of an unexpected error."""

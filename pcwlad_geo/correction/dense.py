@@ -4,23 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.types import Float64
 
-CHUNK = 1 << 16
-"""Number of positions evaluated at once, which limits the memory for a raster of any size."""
+
+@dataclass(frozen=True, slots=True)
+class LatticeParameters:
+    """How mappings are evaluated on a lattice."""
+
+    places_at_once: int = 1 << 16
+    """Number of positions evaluated at once, which limits the memory for a raster of any size."""
+    first_cells: int = 64
+    """Number of cells along the longer side of the first lattice: no correction has detail between them."""
+    min_step_px: float = 1.0
+    """Least step of the lattice."""
+    tested_at: tuple[tuple[float, float], ...] = (
+        *((0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.25, 0.25), (0.75, 0.25)),
+    )
+    """Positions in a cell (col, row) at which the interpolation is compared with the mapping."""
+
+
+LATTICE: Final = LatticeParameters()
+"""Those in use."""
 
 
 def in_chunks(function: Callable[[Float64], Float64], at_px: Float64) -> Float64:
     """Apply `function` to the (n, 2) positions `at_px` in chunks; return its (n, ...) values."""
     at_px = np.asarray(at_px, dtype=np.float64)
-    if len(at_px) <= CHUNK:
+    step = LATTICE.places_at_once
+    if len(at_px) <= step:
         return function(at_px)
-    return np.concatenate([function(at_px[start : start + CHUNK]) for start in range(0, len(at_px), CHUNK)])
+    return np.concatenate([function(at_px[start : start + step]) for start in range(0, len(at_px), step)])
 
 
 def invert(
@@ -41,8 +59,8 @@ def invert(
     index = np.flatnonzero(moving)
     for _ in range(60):
         miss = observed[index] - forward(predicted[index])
-        far = ~(np.abs(miss).max(axis=1) <= tolerance[index])
-        index, miss = index[far], miss[far]
+        unsolved = ~(np.abs(miss).max(axis=1) <= tolerance[index])
+        index, miss = index[unsolved], miss[unsolved]
         if len(index) == 0:
             break
         predicted[index] += solve_2x2(slopes(predicted[index]), miss)
@@ -63,6 +81,24 @@ def solve_2x2(matrices: Float64, vectors: Float64) -> Float64:
 def positions(cols: NDArray[np.floating[Any]], rows: NDArray[np.floating[Any]]) -> Float64:
     """Return the (m · k, 2) positions (col, row) of a lattice of (m,) `cols` and (k,) `rows`, row by row."""
     return np.stack(np.meshgrid(cols, rows), axis=-1, dtype=np.float64).reshape(-1, 2)
+
+
+class TensorBasis(Protocol):
+    """Products of functions of the col and of the row."""
+
+    def factors(self, at_px: Float64, axis: int) -> Float64:
+        """Return the (n, k) values of the functions of col (`axis` 0) or row at the (n, 2) `at_px`."""
+
+
+def tensor_product(basis: TensorBasis, coefficients_px: Float64, nodes_px: Float64) -> Float64:
+    """Return the (rows, cols, 2) values of a tensor-product basis at the (rows, cols, 2) `nodes_px`.
+
+    The (j, i, 2) `coefficients_px` are of j functions of the row and i of the col. Summing one axis after the
+    other costs a small part of evaluating each position by itself.
+    """
+    by_row, by_col = basis.factors(nodes_px[:, 0], 1), basis.factors(nodes_px[0], 0)
+    summed = np.tensordot(by_row, coefficients_px, axes=1)
+    return np.asarray(by_col @ summed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +151,6 @@ class Lattice:
 Mapping = Callable[[Float64], Float64]
 """A function from (n, 2) positions to (n, 2) positions (col, row), px; NaN where it has no value."""
 
-MIN_STEP_PX = 1.0
-"""Least step of the lattice."""
-BETWEEN = ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.25, 0.25), (0.75, 0.25))
-"""Positions in a cell (col, row) at which the interpolation is compared with the mapping."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseMapping:
@@ -137,7 +168,12 @@ class DenseMapping:
 
 
 def dense_mapping(
-    mapping: Mapping, low_px: tuple[float, float], high_px: tuple[float, float], *, tolerance_px: float = 0.01
+    mapping: Mapping,
+    low_px: tuple[float, float],
+    high_px: tuple[float, float],
+    *,
+    tolerance_px: float = 0.01,
+    parameters: LatticeParameters = LATTICE,
 ) -> DenseMapping:
     """Evaluate a mapping on a lattice fine enough to interpolate bilinearly.
 
@@ -146,25 +182,28 @@ def dense_mapping(
     row), px; the lattice covers the box from `low_px` to `high_px`.
     """
     low, high = np.array(low_px, dtype=np.float64), np.array(high_px, dtype=np.float64)
-    step = max(float((high - low).max()) / 64, MIN_STEP_PX)  # no correction has detail between them
+    least = parameters.min_step_px
+    step = max(float((high - low).max()) / parameters.first_cells, least)
     while True:
         lattice = Lattice.over(low, high, step)
-        moved = in_chunks(mapping, lattice.nodes_px()).reshape(*lattice.shape, 2)
-        error = _largest_error(mapping, lattice, moved)
-        if error <= 0.7 * tolerance_px or step <= MIN_STEP_PX:
-            return DenseMapping(lattice, moved, error)
-        step = max(step / 2, MIN_STEP_PX)
+        nodes = in_chunks(mapping, lattice.nodes_px()).reshape(*lattice.shape, 2)
+        error = _largest_error(mapping, lattice, nodes, parameters)
+        if error <= 0.7 * tolerance_px or step <= least:
+            return DenseMapping(lattice, nodes, error)
+        step = max(step / 2, least)
 
 
-def _largest_error(mapping: Mapping, lattice: Lattice, moved_px: Float64) -> float:
+def _largest_error(
+    mapping: Mapping, lattice: Lattice, mapped_px: Float64, parameters: LatticeParameters
+) -> float:
     """Return the largest error in the cells whose corners have a value; 0 where there is no such cell."""
     rows, cols = lattice.shape
-    known = np.asarray(np.isfinite(moved_px).all(axis=2))
-    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    finite = np.asarray(np.isfinite(mapped_px).all(axis=2))
+    whole = finite[:-1, :-1] & finite[:-1, 1:] & finite[1:, :-1] & finite[1:, 1:]
     corner = lattice.nodes_px().reshape(rows, cols, 2)[:-1, :-1][whole]
     largest = 0.0
-    for place in BETWEEN:
+    for place in parameters.tested_at:
         at_px = corner + np.array(place) * lattice.step_px
-        error = np.abs(in_chunks(mapping, at_px) - lattice.interpolated(moved_px, at_px))
+        error = np.abs(in_chunks(mapping, at_px) - lattice.interpolated(mapped_px, at_px))
         largest = max(largest, float(np.nan_to_num(error).max(initial=0.0)))
     return largest

@@ -12,18 +12,12 @@ import numpy as np
 
 from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, Trend, centre_and_radius, checked
 from pcwlad_geo.correction.jitter import fit_jitter
-from pcwlad_geo.correction.models import (
-    AffineCorrection,
-    Correction,
-    PolynomialBasis,
-    PolynomialCorrection,
-    ProjectiveCorrection,
-)
-from pcwlad_geo.correction.thin_plate import fit_field, fit_tps
+from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
+from pcwlad_geo.correction.polynomials import PolynomialBasis, PolynomialCorrection
+from pcwlad_geo.correction.spline_fit import fit_field, fit_tps
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import (
-    COARSE_STEPS,
-    COLLINEAR,
+    ROBUST,
     Solution,
     design,
     estimate,
@@ -31,10 +25,24 @@ from pcwlad_geo.estimation.robust import (
     reweighted,
 )
 from pcwlad_geo.estimation.solving import solve
+from pcwlad_geo.estimation.transforms import ShiftTransform
 from pcwlad_geo.types import Float64
 
-MIN_PROJECTIVE_POINTS = 6
-"""Least number of tie points of a projective transformation."""
+
+@dataclass(frozen=True, slots=True)
+class FitParameters:
+    """How models with few parameters are fitted."""
+
+    redundancy: int = 2
+    """Number of points needed beyond those that determine a model, without which no outlier shows."""
+    max_steps: int = 30
+    """Largest number of Gauss–Newton steps of a projective."""
+    step_px: float = 1e-6
+    """A smaller step is the last: the next would be its square over the radius of the points."""
+
+
+FIT: Final = FitParameters()
+"""Those in use."""
 
 
 def fit_projective(
@@ -44,6 +52,7 @@ def fit_projective(
     *,
     footprint_px: float = 0.0,
     trend: Trend | None = None,
+    parameters: FitParameters = FIT,
 ) -> ParametricFit:
     """Fit a projective transformation, that of a plane seen from another viewpoint.
 
@@ -53,7 +62,7 @@ def fit_projective(
     directions.
     """
     predicted, observed, covariance = checked(
-        "projective", MIN_PROJECTIVE_POINTS, predicted_px, observed_px, covariance_px2
+        "projective", 4 + parameters.redundancy, predicted_px, observed_px, covariance_px2
     )
     trend = trend or Trend.of(predicted, observed, covariance)
     centre, radius, affine = trend.centre_px, trend.radius_px, trend.estimate
@@ -63,31 +72,42 @@ def fit_projective(
 
     def solve(whitener: Float64, weight: Float64) -> Solution:
         root = np.sqrt(weight)[:, None, None] * whitener
-        parameters = _gauss_newton(start, place, observed - centre, root, radius)
-        fitted = _moved(parameters, place, radius) + centre - predicted
-        return Solution(parameters, fitted, 4.0)
+        horizon = _gauss_newton(start, place, observed - centre, root, radius, parameters)
+        fitted = _image(horizon, place, radius) + centre - predicted
+        return Solution(horizon, fitted, 4.0)
 
-    found = reweighted(solve, affine.fitted_px, observed - predicted, covariance, coarse_steps=COARSE_STEPS)
-    matrix = _matrix(found.parameters, centre, radius)
+    estimated = reweighted(
+        solve,
+        affine.fitted_px,
+        observed - predicted,
+        covariance,
+        coarse_steps=ROBUST.coarse_steps,
+    )
+    matrix = _matrix(estimated.parameters, centre, radius)
     return ParametricFit.of(
         correction=ProjectiveCorrection("projective", matrix),
-        jacobian=partial(_jacobian_px, parameters=found.parameters, centre_px=centre, radius_px=radius),
+        jacobian=partial(_jacobian_px, values=estimated.parameters, centre_px=centre, radius_px=radius),
         predicted_px=predicted,
         observed_px=observed,
-        estimate=found,
+        estimate=estimated,
         footprint_px=footprint_px,
     )
 
 
 def _gauss_newton(
-    start: Float64, place: Float64, moved_px: Float64, root: Float64, radius_px: float
+    start: Float64,
+    place: Float64,
+    image_px: Float64,
+    root: Float64,
+    radius_px: float,
+    parameters: FitParameters,
 ) -> Float64:
-    """Return the parameters of least squares: six of the affine numerator, two of the horizon, px."""
-    parameters = start
-    for _ in range(30):
-        rows = (root @ _projective_jacobian(parameters, place, radius_px)).reshape(-1, 8)
-        values = np.einsum("iab,ib->ia", root, moved_px - _moved(parameters, place, radius_px)).ravel()
-        if not (np.isfinite(rows).all() and np.isfinite(values).all()):
+    """Return the (8,) values of least squares: six of the affine numerator, two of the horizon, px."""
+    values = start
+    for _ in range(parameters.max_steps):
+        rows = (root @ _projective_jacobian(values, place, radius_px)).reshape(-1, 8)
+        residuals = np.einsum("iab,ib->ia", root, image_px - _image(values, place, radius_px)).ravel()
+        if not (np.isfinite(rows).all() and np.isfinite(residuals).all()):
             raise InputError(
                 "no projective transformation fits the tie points: its horizon would lie among them; use "
                 "another model"
@@ -96,48 +116,43 @@ def _gauss_newton(
             f"the {np.count_nonzero(root.any(axis=(1, 2)))} consistent tie points lie too nearly on a line "
             "to determine the projective model; use a simpler model, or more tie points"
         )
-        step = solve(rows.T @ rows, rows.T @ values, needs, least=COLLINEAR**2)
-        parameters = parameters + step
-        if np.abs(step).max() < 1e-6:  # the next would be its square over the radius
+        step = solve(rows.T @ rows, rows.T @ residuals, needs, least=ROBUST.collinear**2)
+        values = values + step
+        if np.abs(step).max() < parameters.step_px:
             break
-    return parameters
+    return values
 
 
-def _moved(parameters: Float64, place: Float64, radius_px: float) -> Float64:
+def _image(values: Float64, place: Float64, radius_px: float) -> Float64:
     """Return the (n, 2) observed px about the centre; NaN beyond the horizon."""
-    numerator = parameters[:2] + place @ parameters[2:6].reshape(2, 2)
-    return numerator / _denominator(parameters, place, radius_px)[:, None]
+    numerator = values[:2] + place @ values[2:6].reshape(2, 2)
+    return numerator / _denominator(values, place, radius_px)[:, None]
 
 
-def _denominator(parameters: Float64, place: Float64, radius_px: float) -> Float64:
-    w = 1 + place @ parameters[6:] / radius_px
+def _denominator(values: Float64, place: Float64, radius_px: float) -> Float64:
+    w = 1 + place @ values[6:] / radius_px
     return np.where(w > 0, w, np.nan)
 
 
-def _projective_jacobian(parameters: Float64, place: Float64, radius_px: float) -> Float64:
-    """Return the (n, 2, 8) derivatives of the observed px by the parameters."""
+def _projective_jacobian(values: Float64, place: Float64, radius_px: float) -> Float64:
+    """Return the (n, 2, 8) derivatives of the observed px by the values."""
     n = len(place)
     terms = np.column_stack([np.ones(n), place])
     numerator = np.einsum("it,ab->iatb", terms, np.eye(2)).reshape(n, 2, 6)
-    horizon = -_moved(parameters, place, radius_px)[:, :, None] * place[:, None, :] / radius_px
+    horizon = -_image(values, place, radius_px)[:, :, None] * place[:, None, :] / radius_px
     both = np.concatenate([numerator, horizon], axis=2)
-    return both / _denominator(parameters, place, radius_px)[:, None, None]
+    return both / _denominator(values, place, radius_px)[:, None, None]
 
 
-def _jacobian_px(at_px: Float64, *, parameters: Float64, centre_px: Float64, radius_px: float) -> Float64:
-    return _projective_jacobian(parameters, (at_px - centre_px) / radius_px, radius_px)
+def _jacobian_px(at_px: Float64, *, values: Float64, centre_px: Float64, radius_px: float) -> Float64:
+    return _projective_jacobian(values, (at_px - centre_px) / radius_px, radius_px)
 
 
-def _matrix(parameters: Float64, centre_px: Float64, radius_px: float) -> Float64:
+def _matrix(values: Float64, centre_px: Float64, radius_px: float) -> Float64:
     """Return the (3, 3) matrix between pixels."""
     normalised = np.array([[1, 0, -centre_px[0]], [0, 1, -centre_px[1]], [0, 0, radius_px]]) / radius_px
-    moved = np.vstack([parameters[:6].reshape(3, 2)[[1, 2, 0]].T, [*parameters[6:] / radius_px, 1]])
-    back = np.array([[1, 0, centre_px[0]], [0, 1, centre_px[1]], [0, 0, 1]])
-    return np.asarray(back @ moved @ normalised)
-
-
-REDUNDANCY = 2
-"""Number of points needed beyond those that determine a model, without which no outlier can be found."""
+    projective = np.vstack([values[:6].reshape(3, 2)[[1, 2, 0]].T, [*values[6:] / radius_px, 1]])
+    return np.asarray(ShiftTransform.by(centre_px).matrix @ projective @ normalised)
 
 
 def fit_polynomial(
@@ -150,6 +165,7 @@ def fit_polynomial(
     order: int,
     columns: tuple[int, ...] | None = None,
     trend: Trend | None = None,
+    parameters: FitParameters = FIT,
 ) -> ParametricFit:
     """Fit the polynomial of an order: observed = predicted + Σ coefficient · term.
 
@@ -176,27 +192,29 @@ def fit_polynomial(
         Indices of the terms that are fitted; all by default.
     trend : Trend, optional
         That of the points, if it is known.
+    parameters : FitParameters
+        How it is fitted.
     """
     columns = columns or tuple(range((order + 1) * (order + 2) // 2))
     predicted, observed, covariance = checked(
-        name, len(columns) + REDUNDANCY, predicted_px, observed_px, covariance_px2
+        name, len(columns) + parameters.redundancy, predicted_px, observed_px, covariance_px2
     )
     basis = _basis(order, predicted)
     values, displacement = basis.values(predicted)[:, columns], observed - predicted
     if len(columns) < 3:
-        found = estimate(values, displacement, covariance)
+        estimated = estimate(values, displacement, covariance)
     else:
-        found = (trend or Trend.of(predicted, observed, covariance)).estimate
+        estimated = (trend or Trend.of(predicted, observed, covariance)).estimate
     if order > 1:
         # from the affine, as samples of ten points are hardly ever free of outliers
-        start, fit = found.fitted_px, linear(values, displacement)
-        found = reweighted(fit, start, displacement, covariance, coarse_steps=COARSE_STEPS)
+        start, fit = estimated.fitted_px, linear(values, displacement)
+        estimated = reweighted(fit, start, displacement, covariance, coarse_steps=ROBUST.coarse_steps)
     return ParametricFit.of(
-        correction=_correction(name, basis, found.parameters, columns),
+        correction=_correction(name, basis, estimated.parameters, columns),
         jacobian=partial(_jacobian, basis=basis, columns=columns),
         predicted_px=predicted,
         observed_px=observed,
-        estimate=found,
+        estimate=estimated,
         footprint_px=footprint_px,
     )
 

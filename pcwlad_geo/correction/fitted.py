@@ -18,9 +18,6 @@ from pcwlad_geo.estimation.shared_errors import SharedErrors, parameter_covarian
 from pcwlad_geo.estimation.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64
 
-SPACINGS = 3.0
-"""A place this many typical spacings, or a window if that is more, from all tie points is extrapolated."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
@@ -33,12 +30,16 @@ class Support:
     typical spacing of the points if that is more, px."""
 
     @classmethod
-    def of(cls, points_px: Float64, footprint_px: float) -> Support:
-        """Return the support of the (n, 2) `points_px` (col, row) with windows of side `footprint_px`."""
+    def of(cls, points_px: Float64, footprint_px: float, spacings: float = 3.0) -> Support:
+        """Return the support of the (n, 2) `points_px` (col, row) with windows of side `footprint_px`.
+
+        A place that is as many typical spacings from all points, or half a window if that is more, is
+        extrapolated.
+        """
         spacing = np.sqrt(_hull_area(points_px) / max(len(points_px), 1))
         if spacing == 0 and len(points_px):
             spacing = float(np.hypot(*np.ptp(points_px, axis=0))) / len(points_px)
-        return cls(points_px, max(footprint_px / 2, SPACINGS * float(spacing)))
+        return cls(points_px, max(footprint_px / 2, spacings * float(spacing)))
 
     def extrapolated(self, at_px: Float64) -> Bool:
         """Return the (n,) mask of the (n, 2) `at_px` (col, row) outside the tie points or in a wide hole."""
@@ -186,9 +187,17 @@ class ParametricFit(Fit):
             predicted_px,
             footprint_px,
         )
-        freedom, support = float(len(covariance)), Support.of(predicted_px[estimate.weight > 0], footprint_px)
-        given = (correction, freedom, predicted_px, residual, estimate, errors, support)
-        return cls(*given, covariance, jacobian)
+        return cls(
+            correction=correction,
+            freedom=float(len(covariance)),
+            predicted_px=predicted_px,
+            remainder_px=residual,
+            estimate=estimate,
+            errors=errors,
+            support=Support.of(predicted_px[estimate.weight > 0], footprint_px),
+            parameter_covariance=covariance,
+            jacobian=jacobian,
+        )
 
     def covariance(self, at_px: Float64) -> Float64:
         """Return the (n, 2, 2) covariance, px², of the correction at the (n, 2) predicted `at_px`."""
@@ -217,8 +226,8 @@ class ParametricFit(Fit):
             ]
         )
         needs = f"the {self.correction.name} model needs tie points in other parts of the image as well"
-        found = solve(of_others, right, needs, least=1e-12)
-        return [jacobian[fold] @ parameters for fold, parameters in zip(folds, found, strict=True)]
+        solutions = solve(of_others, right, needs, least=1e-12)
+        return [jacobian[fold] @ parameters for fold, parameters in zip(folds, solutions, strict=True)]
 
 
 def _inner(rows: Float64) -> Float64:

@@ -5,50 +5,67 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from scipy.special import chdtri, fdtri
 
+from pcwlad_geo.correction.cross_validation import SharedNoise, cross_validation_blocks, left_out_errors
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, MODELS
 from pcwlad_geo.correction.fitted import Fit, Trend
 from pcwlad_geo.correction.models import has_foldover
-from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.comparison import is_significant, simplest_unbeaten
 from pcwlad_geo.types import Bool, Float64
 
-SIGNIFICANCE = 1.0
-"""Number of standard errors by which the affine must predict better than the shift."""
-CLEAR_SHARE = 0.25
-"""A model whose mean squared error is at most this share of a simpler one's is clearly better, whatever the
-standard error, which a few blocks that no model follows can make large; so is an affine by the median of the
-blocks, as it bends to no cluster of wrong points, which would spoil the mean."""
-CLEAR_BLOCKS = 0.75
-"""Least share of the blocks in which a clearly better model must have the smaller error."""
-CLEAR_GAIN_PX = 0.5
-"""Least radial RMS by which a clearly better model must reduce the error."""
-DENSE_SIGNIFICANCE = 0.0
-"""Number of standard errors by which a model must predict better than a simpler one if both need resampling:
-simplicity has no value there, and cross-validation disfavours a spline, which interpolates over shorter
-distances than a block."""
-PERSPECTIVE_SHARE = 0.5
-"""Largest part of a projective's mean squared error that a more flexible model of two frames may leave: flat
-ground is seen so, and what a polynomial predicts better beyond is mostly an error that the matches share."""
-RESAMPLING_SIGNIFICANCE = 2.5
-"""Number of standard errors by which a model that needs resampling must predict better than one without."""
-MIN_GAIN_PX = 0.05
-"""Least radial RMS by which a model must reduce the error of one that needs no resampling. An affine rotates
-the axes of the map; on pairs displaced by a shift alone it gained up to 0.04 px by chance."""
-WINDOWS_PER_PARAMETER = 3.0
-"""Least number of cells of one matching window, in which points lie, per parameter of an axis for a model
-that needs resampling. With fewer it must remove more error than it leaves, and more than chance explains.
-Errors that neighbours share look like detail to a cross-validation."""
-CHANCE = 0.05
-"""Largest probability that errors alone explain the change of the correction by a more complex model."""
-COMMON_SIGMA = 0.6
-"""Error that all points of a scene have in common, in sigmas of a point, measured on scenes of exact truth.
-Residuals do not show it, and no number of points averages it out."""
-COMMON_CHANGE = 0.5
-"""Share of the variance of that error which changes from place to place, as a deformation does."""
+
+@dataclass(frozen=True, slots=True)
+class SelectionParameters:
+    """When a model replaces a simpler one, and the error that no residual shows."""
+
+    significance: float = 1.0
+    """Number of standard errors by which the affine must predict better than the shift."""
+    clear_share: float = 0.25
+    """A model whose mean squared error is at most this share of a simpler one's is clearly better, whatever
+    the standard error, which a few blocks that no model follows can make large; so is an affine by the median
+    of the blocks, as it bends to no cluster of wrong points, which would spoil the mean."""
+    clear_blocks: float = 0.75
+    """Least share of the blocks in which a clearly better model must have the smaller error."""
+    clear_gain_px: float = 0.5
+    """Least radial RMS by which a clearly better model must reduce the error."""
+    dense_significance: float = 0.0
+    """Number of standard errors by which a model must predict better than a simpler one if both need
+    resampling: simplicity has no value there, and cross-validation disfavours a spline, which interpolates
+    over shorter distances than a block."""
+    perspective_share: float = 0.5
+    """Largest part of a projective's mean squared error that a more flexible model of two frames may leave:
+    flat ground is seen so, and what a polynomial predicts better beyond is mostly an error that the matches
+    share."""
+    resampling_significance: float = 2.5
+    """The same of a model that needs resampling, over one that needs none."""
+    min_gain_px: float = 0.05
+    """Least radial RMS by which a model must reduce the error of one that needs no resampling. An affine
+    rotates the axes of the map; on pairs displaced by a shift alone it gained up to 0.04 px by chance."""
+    windows_per_parameter: float = 3.0
+    """Least number of cells of one matching window, in which points lie, per parameter of an axis for a model
+    that needs resampling. With fewer it must remove more error than it leaves, and more than chance explains.
+    Errors that neighbours share look like detail to a cross-validation."""
+    chance: float = 0.05
+    """Largest probability that errors alone explain the change of the correction by a more complex model."""
+    spare_share: float = 0.25
+    """Least share of the observations that stay free in that test: where points are dense, a spline may have
+    more effective parameters than there are windows without common pixels."""
+    common_sigma: float = 0.6
+    """Error that all points of a scene have in common, in sigmas of a point, measured on scenes of exact
+    truth. Residuals do not show it, and no number of points averages it out."""
+    common_change: float = 0.5
+    """Share of the variance of that error which changes from place to place, as a deformation does."""
+    min_blocks: int = 4
+    """Least number of blocks for a cross-validation."""
+
+
+SELECTION: Final = SelectionParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +105,8 @@ class Selection:
 
         It is the sum of those of the fit, of the misfit of the model, and of the error common to all points.
         """
-        alike = np.add(self.misfit_px2, self.common_px2)
-        return np.asarray(self.fit.covariance(at_px) + np.diag(alike))
+        everywhere = np.add(self.misfit_px2, self.common_px2)
+        return np.asarray(self.fit.covariance(at_px) + np.diag(everywhere))
 
     def sigma(self, at_px: Float64) -> Float64:
         """Return the (n, 2) standard deviation (col, row), px, of the correction at the (n, 2) `at_px`.
@@ -113,19 +130,20 @@ class _Points:
     """(m, 2) some of the predicted positions, at which fits are compared."""
     trend: Trend | None
     """None where the points determine none: each fit tells why."""
-    known_px2: dict[str, Float64] = field(default_factory=dict)
+    parameters: SelectionParameters
+    covariances_px2: dict[str, Float64] = field(default_factory=dict)
     """Covariances there of the fits asked for, by model."""
 
     def fit(self, name: str) -> Fit:
-        given = self.predicted_px, self.observed_px, self.covariance_px2
-        return MODELS[name].fit(*given, footprint_px=self.footprint_px, trend=self.trend)
+        points = self.predicted_px, self.observed_px, self.covariance_px2
+        return MODELS[name].fit(*points, footprint_px=self.footprint_px, trend=self.trend)
 
     def covariance(self, fit: Fit) -> Float64:
         """Return the (m, 2, 2) covariance of a fit at the sample, which takes long the first time."""
         name = fit.correction.name
-        if name not in self.known_px2:
-            self.known_px2[name] = fit.covariance(self.sample_px)
-        return self.known_px2[name]
+        if name not in self.covariances_px2:
+            self.covariances_px2[name] = fit.covariance(self.sample_px)
+        return self.covariances_px2[name]
 
 
 def choose(
@@ -137,13 +155,14 @@ def choose(
     *,
     box_px: tuple[Float64, Float64] | None = None,
     perspective: bool = False,
+    parameters: SelectionParameters = SELECTION,
 ) -> Selection:
     """Choose the simplest model that no other beats significantly in predicting blocks left out.
 
     The points are divided into compact blocks of equal numbers, one matching window wide, and each block is
-    predicted by a fit to the others (see `points.cross_validation_blocks`). Errors that overlapping windows
-    share across the border of a block are allowed for (see `points.left_out_errors`). A model replaces a
-    simpler one when (1) the mean of the paired differences of the blocks' squared errors is larger than its
+    predicted by a fit to the others (see `cross_validation_blocks`). Errors that overlapping windows share
+    across the border of a block are allowed for (see `left_out_errors`). A model replaces a simpler one when
+    (1) the mean of the paired differences of the blocks' squared errors is larger than its
     standard error (than zero, where both need resampling), or its errors, by the mean of the blocks (for the
     affine also by the median), are less than half as large, and smaller in three of four blocks, and (2) the
     correction changes by more than the uncertainty of the fits and the error common to all points explain at
@@ -173,18 +192,19 @@ def choose(
     perspective : bool
         Whether both are frames of a camera: a projective is the image of flat ground then, and is left only
         for a model of less than half its squared error.
+    parameters : SelectionParameters
+        The limits above.
     """
     trend = None
     with suppress(InputError):
         trend = Trend.of(predicted_px, observed_px, covariance_px2)
-    given = (predicted_px, observed_px, covariance_px2, footprint_px)
-    points = _Points(*given, _sample(predicted_px), trend)
+    points = _Points(
+        predicted_px, observed_px, covariance_px2, footprint_px, _sample(predicted_px), trend, parameters
+    )
     notes: dict[str, str] = {}
     # The field is the costliest by far: it is tried only where a model that resamples has been chosen.
-    first = (
-        candidates if tuple(candidates) == ("field",) else [each for each in candidates if each != "field"]
-    )
-    fits = _fits(points, first, box_px, notes)
+    cheap = [candidate for candidate in candidates if candidate != "field"]
+    fits = _fits(points, cheap if cheap or not candidates else candidates, box_px, notes)
     if not fits:
         raise InputError(next(iter(notes.values()), "no correction model to choose from: name at least one"))
     errors = _block_errors(points, fits, notes)
@@ -200,7 +220,7 @@ def choose(
             fits |= _fits(points, ("field",), box_px, notes)
             errors = _block_errors(points, fits, notes)
             name = _simplest_unbeaten(points, fits, errors, notes, perspective)
-    scores = tuple(_score(each, fits, errors, each == name, notes) for each in candidates)
+    scores = tuple(_score(candidate, fits, errors, candidate == name, notes) for candidate in candidates)
     misfit, common = _misfit(points, fits, name), _common(points, fits[name])
     return Selection(name, fits[name], scores, misfit, common, footprint_px)
 
@@ -228,7 +248,7 @@ def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) 
     n = len(points.predicted_px)
     division = cross_validation_blocks(points.predicted_px, points.footprint_px)
     counted, block = np.unique(division.block[weight > 0], return_inverse=True)
-    if len(counted) < 4:
+    if len(counted) < points.parameters.min_blocks:
         notes.update(dict.fromkeys(fits, f"{n} tie points are too few for a cross-validation"))
         return errors
     flexible = fits[next(reversed(fits))]
@@ -255,7 +275,7 @@ def _weight(points: _Points, fits: dict[str, Fit]) -> Float64:
 
 
 def _score(
-    name: str, fits: dict[str, Fit], errors: dict[str, Float64], chosen: bool, notes: dict[str, str]
+    name: str, fits: dict[str, Fit], errors: dict[str, Float64], is_chosen: bool, notes: dict[str, str]
 ) -> CandidateScore:
     rmse = standard_error = np.nan
     if name in errors:
@@ -265,7 +285,7 @@ def _score(
         standard_error = scatter / (2 * rmse) if rmse > 0 else 0.0
     parameters = fits[name].freedom if name in fits else np.nan
     return CandidateScore(
-        name, float(parameters), float(rmse), float(standard_error), chosen, notes.get(name, "")
+        name, float(parameters), float(rmse), float(standard_error), is_chosen, notes.get(name, "")
     )
 
 
@@ -276,48 +296,63 @@ def _simplest_unbeaten(
     notes: dict[str, str],
     perspective: bool,
 ) -> str:
-    chosen, windows = next(iter(fits)), _windows(points)
-    for name in errors:
-        if chosen not in errors or name == chosen:
-            continue
-        gain = _gain(errors[name], errors[chosen], _significance(chosen, name), by_median=name in LOSSLESS)
-        resampling = chosen in LOSSLESS and name not in LOSSLESS
-        few_windows = windows < WINDOWS_PER_PARAMETER * fits[name].freedom / 2
-        left_px2 = errors[name].mean()
-        if gain is None:
-            notes[name] = f"does not predict significantly better than {chosen}"
-        elif resampling and few_windows and gain < _least_gain(fits[chosen], fits[name], points) * left_px2:
-            notes[name] = f"has too many parameters for {windows} separate matching windows"
-        elif chosen in LOSSLESS and gain < MIN_GAIN_PX**2:
-            notes[name] = f"takes out only {np.sqrt(gain):.2f} px more than {chosen}"
-        elif (
-            perspective
-            and chosen == "projective"
-            and errors[name].mean() > PERSPECTIVE_SHARE * errors[chosen].mean()
-        ):
-            notes[name] = "leaves more than half of what projective, the image of flat ground, leaves"
-        elif not _differs(fits[chosen], fits[name], points):
-            notes[name] = f"differs from {chosen} by no more than its uncertainty"
-        else:
-            notes[chosen] = f"{name} predicts better"
-            chosen = name
-    return chosen
+    simplest = next(iter(fits))
+    if simplest not in errors:
+        return simplest
+
+    def beats(name: str, simpler: str) -> bool:
+        objection = _objection(points, fits, errors, name, simpler, perspective)
+        notes[name if objection else simpler] = objection or f"{name} predicts better"
+        return objection is None
+
+    return simplest_unbeaten(errors, beats)
 
 
-def _gain(error_px2: Float64, simpler_px2: Float64, significance: float, *, by_median: bool) -> float | None:
+def _objection(
+    points: _Points,
+    fits: dict[str, Fit],
+    errors: dict[str, Float64],
+    name: str,
+    simpler: str,
+    perspective: bool,
+) -> str | None:
+    """Return why a model does not replace a simpler one; None if it does."""
+    parameters = points.parameters
+    gain = _gain(errors[name], errors[simpler], simpler, name, parameters)
+    if gain is None:
+        return f"does not predict significantly better than {simpler}"
+    windows, remaining_px2 = _windows(points), errors[name].mean()
+    few_windows = windows < parameters.windows_per_parameter * fits[name].freedom / 2
+    resampling = simpler in LOSSLESS and name not in LOSSLESS
+    if resampling and few_windows and gain < _least_gain(fits[simpler], fits[name], points) * remaining_px2:
+        return f"has too many parameters for {windows} separate matching windows"
+    if simpler in LOSSLESS and gain < parameters.min_gain_px**2:
+        return f"takes out only {np.sqrt(gain):.2f} px more than {simpler}"
+    flat = perspective and simpler == "projective"
+    if flat and remaining_px2 > parameters.perspective_share * errors[simpler].mean():
+        return "leaves more than half of what projective, the image of flat ground, leaves"
+    if not _differs(fits[simpler], fits[name], points):
+        return f"differs from {simpler} by no more than its uncertainty"
+    return None
+
+
+def _gain(
+    error_px2: Float64, simpler_px2: Float64, simpler: str, name: str, parameters: SelectionParameters
+) -> float | None:
     """Return by how much a model reduces the squared error of the blocks; None if not significantly.
 
     A model that is so much better in so many blocks that no standard error is needed is so by the mean of the
-    blocks or, if `by_median`, by the median: a cluster of wrong points that agree spoils the mean of all.
+    blocks or, if it needs no resampling, by the median: a cluster of wrong points that agree spoils the mean
+    of all.
     """
     gain = simpler_px2 - error_px2
-    if gain.mean() > significance * gain.std(ddof=1) / np.sqrt(len(gain)):
+    if is_significant(gain, _significance(simpler, name, parameters)):
         return float(gain.mean())
-    if (gain > 0).mean() < CLEAR_BLOCKS:
+    if (gain > 0).mean() < parameters.clear_blocks:
         return None
-    for typical in (np.mean, np.median) if by_median else (np.mean,):
-        clear = typical(error_px2) <= CLEAR_SHARE * typical(simpler_px2)
-        if clear and typical(gain) >= CLEAR_GAIN_PX**2:
+    for typical in (np.mean, np.median) if name in LOSSLESS else (np.mean,):
+        clear = typical(error_px2) <= parameters.clear_share * typical(simpler_px2)
+        if clear and typical(gain) >= parameters.clear_gain_px**2:
             return float(typical(gain))
     return None
 
@@ -326,13 +361,12 @@ def _least_gain(simple: Fit, other: Fit, points: _Points) -> float:
     """Return the least gain of a model on few windows, in squared errors that it leaves.
 
     The F test counts each window without common pixels once: errors of points that share pixels, or that were
-    matched as their neighbours expect, are no independent evidence. Where points are dense, a spline may have
-    more effective parameters than that: a quarter of the observations stay free at least.
+    matched as their neighbours expect, are no independent evidence.
     """
     observations = 2 * _separate_windows(points.predicted_px, points.footprint_px)
     added = other.freedom - simple.freedom
-    spare = max(observations - other.freedom, observations / 4)
-    by_chance = float(fdtri(added, spare, 1 - CHANCE)) * added / observations
+    spare = max(observations - other.freedom, observations * points.parameters.spare_share)
+    by_chance = float(fdtri(added, spare, 1 - points.parameters.chance)) * added / observations
     return max(by_chance, 1.0)
 
 
@@ -354,25 +388,23 @@ def _windows(points: _Points) -> int:
     return len(np.unique(np.floor(points.predicted_px / points.footprint_px), axis=0))
 
 
-def _significance(simple: str, other: str) -> float:
+def _significance(simple: str, other: str, parameters: SelectionParameters) -> float:
     """Return by how many standard errors a model must predict better than a simpler one."""
-    if other == "field":
-        return RESAMPLING_SIGNIFICANCE
-    if simple not in LOSSLESS:
-        return DENSE_SIGNIFICANCE
-    return SIGNIFICANCE if other in LOSSLESS else RESAMPLING_SIGNIFICANCE
+    if other != "field" and simple not in LOSSLESS:
+        return parameters.dense_significance
+    return parameters.significance if other in LOSSLESS else parameters.resampling_significance
 
 
 def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, float]:
     """Return the variance (col, row) of the most flexible model about the chosen one, beyond chance, px²."""
-    chosen, flexible = fits[name], fits[name] if name == "field" else fits.get("tps")
+    selected, flexible = fits[name], fits[name] if name == "field" else fits.get("tps")
     if flexible is None:
         try:
             flexible = points.fit("tps")
         except InputError:
             return 0.0, 0.0
-    change = chosen.correction.forward(points.sample_px) - flexible.correction.forward(points.sample_px)
-    added_px2 = (points.covariance(flexible) - points.covariance(chosen)).mean(axis=0)
+    change = selected.correction.forward(points.sample_px) - flexible.correction.forward(points.sample_px)
+    added_px2 = (points.covariance(flexible) - points.covariance(selected)).mean(axis=0)
     by_chance = np.maximum(np.diagonal(added_px2), 0.0)
     col, row = np.maximum((change**2).mean(axis=0) - by_chance, 0.0).tolist()
     return col, row
@@ -381,7 +413,7 @@ def _misfit(points: _Points, fits: dict[str, Fit], name: str) -> tuple[float, fl
 def _common(points: _Points, fit: Fit) -> tuple[float, float]:
     """Return the variance (col, row) of the error that all points have in common, px²."""
     variance = np.median(np.diagonal(points.covariance_px2, axis1=1, axis2=2)[fit.inlier], axis=0)
-    col, row = (COMMON_SIGMA**2 * fit.errors.scale * variance).tolist()
+    col, row = (points.parameters.common_sigma**2 * fit.errors.scale * variance).tolist()
     return col, row
 
 
@@ -400,6 +432,6 @@ def _differs(simple: Fit, other: Fit, points: _Points) -> bool:
     )
     by_chance = max(theirs - ours, theirs / 2)
     freedom = max(other.freedom - simple.freedom, other.freedom / 2)
-    explained = float(chdtri(freedom, CHANCE)) / freedom * by_chance
-    explained += COMMON_CHANGE * sum(_common(points, other))
+    explained = float(chdtri(freedom, points.parameters.chance)) / freedom * by_chance
+    explained += points.parameters.common_change * sum(_common(points, other))
     return bool((change**2).sum(axis=1).mean() > explained)

@@ -36,10 +36,10 @@ def plausible_limits(values: NDArray[Any]) -> Limits:
 
     The (n,) `values` are a sample of those that are not marked as nodata.
     """
-    known = values[is_plausible(values)].astype(np.float64)
-    if known.size == 0:
+    plausible = values[is_plausible(values)].astype(np.float64)
+    if plausible.size == 0:
         return ALL_VALUES
-    low, middle, high = np.percentile(known, (0.05, 50, 99.95)).tolist()
+    low, middle, high = np.percentile(plausible, (0.05, 50, 99.95)).tolist()
     reach = LARGEST_DEVIATION * (high - low)
     if reach == 0:
         return ALL_VALUES

@@ -26,21 +26,37 @@ MEDIAN_LENGTH: Final = 1.1774
 """Median length of two normal components of unit variance: √(2 ln 2), of Rayleigh's distribution."""
 MEDIAN_CHI2: Final = 2 * np.log(2)
 """Median of χ² with two degrees of freedom."""
-REJECTION_SIGMA: Final = 5.12
-"""Mahalanobis distance from which on Tukey's biweight is 0: 95 % efficient in two dimensions."""
-MIN_VARIANCE_PX2 = 1e-8
-"""Variance added to every covariance: no position is known to better than 1e-4 px, also where C_i is zero."""
-COLLINEAR: Final = 1e-6
-"""Least ratio of the smallest to the largest singular value of a basis that the points determine."""
-COARSE_STEPS: Final = 10
-"""Number of steps, after a start from a simpler model, in which τ² comes from the median of the residuals."""
-POINT_LIMIT: Final = 3.0
-"""Points that lie off their pair's by more sigmas lose weight."""
-BLOCK_CORRELATION: Final = 1.4
-"""Neighbouring blocks err alike, so that a jackknife tells too little by this factor: found on scenes of
-known truth (two sensors, 320 and 1,024 px)."""
 MEASURED: Final = "a pair of images needs tie points of ordinary size, with a sigma above 0"
 """What the equations of a pair ask for."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustParameters:
+    """How robust fits weight observations."""
+
+    rejection_sigma: float = 5.12
+    """Mahalanobis distance from which on Tukey's biweight is 0: 95 % efficient in two dimensions."""
+    min_variance_px2: float = 1e-8
+    """Variance added to every covariance: no position is known to better than 1e-4 px, also where it is
+    zero."""
+    collinear: float = 1e-6
+    """Least ratio of the smallest to the largest singular value of a basis that the points determine."""
+    max_steps: int = 50
+    """Largest number of steps of a fit."""
+    full_steps: int = 10
+    """Number of steps after which weights change by half only, so that all of them converge."""
+    coarse_steps: int = 10
+    """Number of steps, after a start from a simpler model, in which τ² comes from the median of the
+    residuals."""
+    point_limit: float = 3.0
+    """Points that lie off their pair's by more sigmas lose weight."""
+    block_correlation: float = 1.4
+    """Neighbouring blocks err alike, so that a jackknife tells too little by this factor: measured on scenes
+    of known truth (two sensors, 320 and 1,024 px)."""
+
+
+ROBUST: Final = RobustParameters()
+"""Those in use."""
 
 
 def sigma_of(errors: Float64) -> float:
@@ -69,7 +85,7 @@ def huber(lengths: Float64, limit: float) -> Float64:
     return np.minimum(1.0, limit / np.maximum(lengths, 1e-12))
 
 
-def biweight(squared: Float64, limit: float = REJECTION_SIGMA) -> Float64:
+def biweight(squared: Float64, limit: float = ROBUST.rejection_sigma) -> Float64:
     """Return (...,) weights, 1 for no error and 0 from a limit on, of (...,) `squared` lengths of errors.
 
     The limit is a length (Beaton & Tukey 1974, doi:10.1080/00401706.1974.10489171).
@@ -77,36 +93,37 @@ def biweight(squared: Float64, limit: float = REJECTION_SIGMA) -> Float64:
     return np.maximum(1 - squared / limit**2, 0.0) ** 2
 
 
-def outlier_factors(left: Float64, weight: Float64, power: int = 1) -> Float64:
-    """Return (n,) factors of weights: Huber's to a power, over the squared scale of all errors.
+def outlier_factors(
+    errors: Float64, weight: Float64, power: int = 1, parameters: RobustParameters = ROBUST
+) -> Float64:
+    """Return (n,) factors of weights: Huber's to a power, over the squared scale of all (n, 2) `errors`.
 
-    The (n, 2) errors are `left`, the (n, 2, 2) `weight` their inverse covariances.
+    The (n, 2, 2) `weight` are their inverse covariances.
     """
-    off = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", left, weight, left), 1e-12))
-    unit = unit_sigma(off) if len(off) else 1.0
-    return huber(off, POINT_LIMIT * unit) ** power / unit**2
+    lengths = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", errors, weight, errors), 1e-12))
+    unit = unit_sigma(lengths) if len(lengths) else 1.0
+    return huber(lengths, parameters.point_limit * unit) ** power / unit**2
 
 
-def reliability(own: float, adjusted: float, used: bool, least: float) -> tuple[float, float]:
+def reliability(observed: float, adjusted: float, is_used: bool, least: float) -> tuple[float, float]:
     """Return the standard deviation of what an observation lies off an adjustment, and its redundancy.
 
-    The variance of the observation is `own`, that of its adjusted value `adjusted`. The redundancy is the
-    share of its error that the others check, of which `least` counts at least; 1 of one that was not `used`
-    (Baarda 1968, Publications on Geodesy 2(5), Delft).
+    The variance of the observation is `observed`, that of its adjusted value `adjusted`. The redundancy is
+    the share of its error that the others check, of which `least` counts at least; 1 of one that `is_used`
+    not (Baarda 1968, Publications on Geodesy 2(5), Delft).
     """
-    redundancy = max(0.0, 1.0 - adjusted / own) if used else 1.0
-    variance = own * redundancy if used else own + adjusted
-    return float(np.sqrt(max(variance, least * own))), redundancy
+    redundancy = max(0.0, 1.0 - adjusted / observed) if is_used else 1.0
+    variance = observed * redundancy if is_used else observed + adjusted
+    return float(np.sqrt(max(variance, least * observed))), redundancy
 
 
-def jackknife(found: Float64) -> Float64:
+def jackknife(estimates: Float64, parameters: RobustParameters = ROBUST) -> Float64:
     """Return (k, ...) changes of estimates without each of k blocks; their products add up to the covariance.
 
-    The (k, ...) estimates are `found` (Tukey 1958, doi:10.1214/aoms/1177706647).
+    The (k, ...) `estimates` are those without a block (Tukey 1958, doi:10.1214/aoms/1177706647).
     """
-    return np.asarray(
-        (found - found.mean(axis=0)) * BLOCK_CORRELATION * np.sqrt((len(found) - 1) / len(found))
-    )
+    count, changes = len(estimates), estimates - estimates.mean(axis=0)
+    return np.asarray(changes * parameters.block_correlation * np.sqrt((count - 1) / count))
 
 
 def propagated(design: Float64, covariance: Float64, changes: Float64) -> Float64:
@@ -121,36 +138,36 @@ def propagated(design: Float64, covariance: Float64, changes: Float64) -> Float6
     size = np.trace(one, axis1=1, axis2=2) + np.trace(other, axis1=1, axis2=2)
     least = (1e-9 * size + 1e-30)[:, None, None] * np.eye(2)
     root = triangular(one + least, MEASURED)
-    back = inverse(root, MEASURED)
-    ratio, axes = np.linalg.eigh(back @ (other + least) @ back.transpose(0, 2, 1))
+    inverse_root = inverse(root, MEASURED)
+    ratio, axes = np.linalg.eigh(inverse_root @ (other + least) @ inverse_root.transpose(0, 2, 1))
     turned = root @ axes
-    found = turned @ (np.maximum(ratio, 1.0)[:, :, None] * turned.transpose(0, 2, 1))
-    return np.where(size[:, None, None] > 0, found, 0.0)
+    larger = turned @ (np.maximum(ratio, 1.0)[:, :, None] * turned.transpose(0, 2, 1))
+    return np.where(size[:, None, None] > 0, larger, 0.0)
 
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
 def irls(
-    solve: Callable[[Float64], tuple[Found, Float64]],
+    solve: Callable[[Float64], tuple[Result, Float64]],
     weigh: Callable[[Float64], Float64],
     weight: Float64,
     rounds: int,
-    still: Callable[[Found, Found], bool] | None = None,
-) -> tuple[Found, Float64, Float64]:
+    has_converged: Callable[[Result, Result], bool] | None = None,
+) -> tuple[Result, Float64, Float64]:
     """Solve and weight in turn: iteratively reweighted least squares, in so many rounds at most.
 
-    Of (n,) weights, first `weight`, `solve` makes a solution and what it leaves, and `weigh` makes weights
-    of that. It ends with a solution that is `still` that before, given both. Returned are the last solution,
-    what it leaves, and the weights of that, or its own if it was still.
+    Of (n, ...) weights, first `weight`, `solve` makes a solution and its residuals, and `weigh` makes weights
+    of these. It ends with a solution that `has_converged`, by it and the one before. Returned are the last
+    solution, its residuals, and the weights of these, or its own if it has converged.
     """
-    before: Found | None = None
+    before: Result | None = None
     for _ in range(rounds):
-        found, left = solve(weight)
-        if still and before is not None and still(found, before):
+        solution, residual = solve(weight)
+        if has_converged and before is not None and has_converged(solution, before):
             break
-        before, weight = found, weigh(left)
-    return found, left, weight
+        before, weight = solution, weigh(residual)
+    return solution, residual, weight
 
 
 def weighted(basis: Float64, values: Float64) -> Callable[[Float64], tuple[Float64, Float64]]:
@@ -158,8 +175,8 @@ def weighted(basis: Float64, values: Float64) -> Callable[[Float64], tuple[Float
 
     def solve(weight: Float64) -> tuple[Float64, Float64]:
         root = np.sqrt(weight)[:, None]
-        found = least_squares(root * basis, root * values)
-        return found, values - basis @ found
+        parameters = least_squares(root * basis, root * values)
+        return parameters, values - basis @ parameters
 
     return solve
 
@@ -235,8 +252,12 @@ def reweighted(
     *,
     coarse_steps: int = 0,
     tolerance_px: float = 1e-7,
+    parameters: RobustParameters = ROBUST,
 ) -> Estimate:
     """Iterate a weighted fit and its robust weights until the fit converges.
+
+    Unlike those of `irls`, its rounds also change the variance that is added to all points, and from some
+    step on they change the weights by half only.
 
     Parameters
     ----------
@@ -251,30 +272,31 @@ def reweighted(
         simpler model, whose errors must not count as outliers, and whose outliers must not set τ².
     tolerance_px : float
         The iteration ends where the fit changes by less than this at every point.
+    parameters : RobustParameters
+        How the points are weighted.
     """
     eigenvalue, eigenvector = np.linalg.eigh(covariance_px2)
-    variance = np.maximum(eigenvalue, 0.0) + MIN_VARIANCE_PX2
+    variance = np.maximum(eigenvalue, 0.0) + parameters.min_variance_px2
     axes = eigenvector.transpose(0, 2, 1)  # axes @ residual: along the axes of the error ellipse
     fitted = start_px
     principal = _rotate(axes, displacement_px - fitted)
     floor = _variance_floor(principal, variance, MEDIAN_CHI2, median=True)
-    weight = biweight(_squared(principal, variance + floor))
-    for step in range(50):
+    limit = parameters.rejection_sigma
+    weight = biweight(_squared(principal, variance + floor), limit)
+    for step in range(parameters.max_steps):
         before = fitted
         solution = solve(axes / np.sqrt(variance + floor)[:, :, None], weight)
         fitted = solution.fitted_px
         principal = _rotate(axes, displacement_px - fitted)
         inlier = weight > 0
         # Each parameter pair takes the degrees of freedom of one point from the residuals.
-        left = 1 - solution.freedom / np.count_nonzero(inlier)
+        redundancy = 1 - solution.freedom / np.count_nonzero(inlier)
         if step < coarse_steps:
-            floor = _variance_floor(principal, variance, MEDIAN_CHI2 * left, median=True)
+            floor = _variance_floor(principal, variance, MEDIAN_CHI2 * redundancy, median=True)
         else:
-            floor = _variance_floor(principal[inlier], variance[inlier], 2 * left, median=False)
-        share = 1.0 if step < 10 else 0.5  # so that all weights converge
-        weight = (1 - share) * weight + share * biweight(
-            _squared(principal, variance + floor), REJECTION_SIGMA
-        )
+            floor = _variance_floor(principal[inlier], variance[inlier], 2 * redundancy, median=False)
+        share = 1.0 if step < parameters.full_steps else 0.5
+        weight = (1 - share) * weight + share * biweight(_squared(principal, variance + floor), limit)
         if step >= coarse_steps and np.abs(fitted - before).max() < tolerance_px:
             break
     whitener = axes / np.sqrt(variance + floor)[:, :, None]
@@ -315,7 +337,7 @@ def weighted_least_squares(
         "determine the model; use a simpler model, or more tie points"
     )
     determining = basis[weight > 0]
-    check_rank(determining.T @ determining, COLLINEAR**2, needs)  # far smaller than the basis itself
+    check_rank(determining.T @ determining, ROBUST.collinear**2, needs)  # far smaller than the basis itself
     root = np.sqrt(weight)[:, None]
     rows = (root[:, :, None] * design(basis, whitener)).reshape(-1, 2 * basis.shape[1])
     values = (root * _rotate(whitener, displacement_px)).ravel()

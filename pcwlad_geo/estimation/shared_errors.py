@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import scipy.sparse
@@ -10,14 +11,29 @@ import scipy.sparse
 from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.types import Float64
 
-CELLS_PER_WINDOW = 6
-"""Number of ground cells along the side of a window; windows that cover a cell share its errors."""
-PROBE_NUMBERS = 32_000
-"""RequestedBand total of random signs, points times vectors, that estimate a trace."""
-MIN_PROBES, MAX_PROBES = 8, 64
-"""Least and largest number of vectors of random signs."""
-BATCH = 16
-"""Number of vectors multiplied at once, which limits the memory: each needs a number per ground cell."""
+
+@dataclass(frozen=True, slots=True)
+class SharedErrorParameters:
+    """How errors that overlapping windows share are represented and estimated."""
+
+    cells_per_window: int = 6
+    """Number of ground cells along the side of a window; windows that cover a cell share its errors."""
+    probe_numbers: int = 32_000
+    """Wanted total of random signs, points times vectors, that estimate a trace."""
+    min_probes: int = 8
+    """Least number of vectors of random signs."""
+    max_probes: int = 64
+    """Largest number of vectors of random signs."""
+    vectors_at_once: int = 16
+    """Number of vectors multiplied at once, which limits the memory: each needs a number per ground cell."""
+    prior_patches: float = 2.0
+    """Weight, in independent windows, of the prior assumption that errors are shared in full."""
+    scale_patches: float = 10.0
+    """Weight, in independent windows, of the prior assumption that the points' covariances are true."""
+
+
+SHARED_ERRORS: Final = SharedErrorParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,22 +51,24 @@ class Overlaps:
     """(cells, n) of `cover`."""
 
     @classmethod
-    def of(cls, xy_px: Float64, side_px: float) -> Overlaps:
+    def of(
+        cls, xy_px: Float64, side_px: float, parameters: SharedErrorParameters = SHARED_ERRORS
+    ) -> Overlaps:
         """Return the overlaps of windows of side `side_px` at the (n, 2) positions `xy_px` (col, row)."""
-        n = len(xy_px)
+        n, cells_along = len(xy_px), parameters.cells_per_window
         if side_px <= 0:
             return cls(None, n)
         # Border cells in part make the correlation reach a little too far, which smaller cells compensate.
-        corner = (xy_px - xy_px.min(axis=0)) / side_px * CELLS_PER_WINDOW**2 / (CELLS_PER_WINDOW - 1 / 3)
+        corner = (xy_px - xy_px.min(axis=0)) / side_px * cells_along**2 / (cells_along - 1 / 3)
         first = np.floor(corner).astype(np.int64)
         part = (corner - first)[:, :, None]
-        covered = np.concatenate([1 - part, np.ones((n, 2, CELLS_PER_WINDOW - 1)), part], axis=2)
+        covered = np.concatenate([1 - part, np.ones((n, 2, cells_along - 1)), part], axis=2)
         covered /= np.linalg.norm(covered, axis=2, keepdims=True)
-        index = first[:, :, None] + np.arange(CELLS_PER_WINDOW + 1)
+        index = first[:, :, None] + np.arange(cells_along + 1)
         columns = index[:, 1, :, None] * (index[:, 0].max(initial=0) + 1) + index[:, 0, None, :]
         cells, column = np.unique(columns, return_inverse=True)
         values = covered[:, 1, :, None] * covered[:, 0, None, :]
-        pointer = np.arange(0, values.size + 1, (CELLS_PER_WINDOW + 1) ** 2)
+        pointer = np.arange(0, values.size + 1, (cells_along + 1) ** 2)
         shape = (n, len(cells))
         cover = scipy.sparse.csr_array((values.ravel(), column.ravel(), pointer), shape=shape)
         return cls(cover, n, cover.T)
@@ -59,10 +77,10 @@ class Overlaps:
         """Return the (n, ...) product of R with the (n, ...) `vectors`."""
         if self.cover is None or self.transposed is None:
             return vectors
-        flat = vectors.reshape(self.n, -1)
+        flat, step = vectors.reshape(self.n, -1), SHARED_ERRORS.vectors_at_once
         products = np.empty_like(flat)
-        for start in range(0, flat.shape[1], BATCH):
-            part = slice(start, start + BATCH)
+        for start in range(0, flat.shape[1], step):
+            part = slice(start, start + step)
             products[:, part] = self.cover @ (self.transposed @ flat[:, part])
         return products.reshape(vectors.shape)
 
@@ -71,12 +89,13 @@ class Overlaps:
         return self.n**2 / float(self.times(np.ones(self.n)).sum())
 
 
-def probes_of(xy_px: Float64) -> Float64:
+def probes_of(xy_px: Float64, parameters: SharedErrorParameters = SHARED_ERRORS) -> Float64:
     """Return (n, m) random signs for the (n, 2) points `xy_px`, which estimate traces.
 
     Few points need more vectors. The estimator is Hutchinson's (1990, doi:10.1080/03610919008812866).
     """
-    return random_signs(xy_px, int(np.clip(PROBE_NUMBERS // max(len(xy_px), 1), MIN_PROBES, MAX_PROBES)))
+    count = parameters.probe_numbers // max(len(xy_px), 1)
+    return random_signs(xy_px, int(np.clip(count, parameters.min_probes, parameters.max_probes)))
 
 
 def random_signs(xy_px: Float64, count: int) -> Float64:
@@ -84,12 +103,6 @@ def random_signs(xy_px: Float64, count: int) -> Float64:
     signs = np.empty((len(xy_px), count))
     signs[np.lexsort(xy_px.T)] = np.random.default_rng(0).choice([-1.0, 1.0], size=signs.shape)
     return signs
-
-
-PRIOR_PATCHES = 2.0
-"""Weight, in independent windows, of the prior assumption that errors are shared in full."""
-SCALE_PATCHES = 10.0
-"""Weight, in independent windows, of the prior assumption that the points' covariances are true."""
 
 
 def parameter_covariance(
@@ -130,9 +143,9 @@ def parameter_covariance(
     g = w[:, None, None] * u @ inverse(normal, "the precision of a model needs tie points apart")
     independent = _inner(g, g)
     gram = _inner(u, u)
-    kept = 2 * n - 2 * p + float(np.trace(independent @ gram))
+    redundancy = 2 * n - 2 * p + float(np.trace(independent @ gram))
     if footprint_px <= 0:
-        errors = SharedErrors(0.0, _scale(float((e**2).sum()), kept, n), float(n))
+        errors = SharedErrors(0.0, _scale(float((e**2).sum()), redundancy, n), float(n))
         return errors.scale * independent, errors
     overlaps = Overlaps.of(xy_px, footprint_px)
     rg, ru, re = overlaps.times(g), overlaps.times(u), overlaps.times(e)
@@ -143,7 +156,7 @@ def parameter_covariance(
     loss = 2 * np.trace(_inner(g, ru))
     moments = np.array(
         [
-            [kept, 2 * n - loss + np.trace(shared @ gram)],
+            [redundancy, 2 * n - loss + np.trace(shared @ gram)],
             [
                 2 * n - loss + np.trace(independent @ _inner(u, ru)),
                 2 * squares - 2 * np.trace(_inner(rg, ru)) + np.trace(shared @ _inner(u, ru)),
@@ -175,7 +188,8 @@ class SharedErrors:
         `patches` independent windows.
         """
         alpha = _shared_part(moments, np.array([squares, products]))
-        alpha = (alpha * patches + PRIOR_PATCHES) / (patches + PRIOR_PATCHES)
+        prior = SHARED_ERRORS.prior_patches
+        alpha = (alpha * patches + prior) / (patches + prior)
         expected = (1 - alpha) * moments[0, 0] + alpha * moments[0, 1]
         return cls(float(alpha), _scale(squares, float(expected), patches), patches)
 
@@ -192,8 +206,9 @@ def _shared_part(moments: Float64, observed: Float64) -> float:
 
 def _scale(squares: float, expected: float, patches: float) -> float:
     ratio = min(squares / expected, 1.0) if expected > 0 else 1.0
-    return (ratio * patches + SCALE_PATCHES) / (patches + SCALE_PATCHES)
+    prior = SHARED_ERRORS.scale_patches
+    return (ratio * patches + prior) / (patches + prior)
 
 
-def _inner(left: Float64, right: Float64) -> Float64:
-    return np.asarray(np.einsum("iap,iaq->pq", left, right))
+def _inner(one: Float64, other: Float64) -> Float64:
+    return np.asarray(np.einsum("iap,iaq->pq", one, other))

@@ -29,7 +29,7 @@ SIZE: Final = "a trend needs points and displacements of ordinary size"
 
 def check_observations(name: str, *arrays: Float64) -> None:
     """Raise `InputError` if a number of (...,) `arrays`, in the message called `name`, is beyond measure."""
-    if not all(np.abs(each).max(initial=0.0) <= COORDINATE for each in arrays):  # NaN is not
+    if not all(np.abs(values).max(initial=0.0) <= COORDINATE for values in arrays):  # NaN is not
         raise InputError(f"{name} have numbers not finite or beyond {COORDINATE:.0e}; leave them out")
 
 
@@ -122,10 +122,10 @@ class BandedFactor:
 
     def solve(self, right: Float64) -> Float64:
         """Return the (k, m) or (k,) solutions for right sides `right` of that shape."""
-        placed = np.empty_like(right)
-        placed[self._order] = right
-        found = scipy.linalg.cho_solve_banded((self._factor, True), placed, True, check_finite=False)
-        return np.asarray(found[self._order], np.float64)
+        ordered = np.empty_like(right)
+        ordered[self._order] = right
+        solution = scipy.linalg.cho_solve_banded((self._factor, True), ordered, True, check_finite=False)
+        return np.asarray(solution[self._order], np.float64)
 
 
 class NormalEquations:
@@ -162,7 +162,7 @@ class NormalEquations:
     @property
     def matrix(self) -> csc_array:
         """(unknowns, unknowns) normal matrix."""
-        data, rows, columns = (np.concatenate(each) for each in zip(*self._sums, strict=True))
+        data, rows, columns = (np.concatenate(parts) for parts in zip(*self._sums, strict=True))
         return coo_array((data, (rows, columns)), shape=(len(self.right),) * 2).tocsc()
 
     def solve(self, needs: str) -> Float64:
@@ -173,15 +173,15 @@ class NormalEquations:
         """Return the (unknowns, unknowns) covariance of the solution."""
         return np.asarray(factorised(self.matrix, needs).solve(np.eye(len(self.right))))
 
-    def reduced(self, kept: int) -> tuple[Float64, Float64]:
-        """Return the (kept, kept) matrix and the (kept,) right side without the other unknowns.
+    def reduced(self, count: int) -> tuple[Float64, Float64]:
+        """Return the (count, count) matrix and (count,) right side of the first unknowns, without others.
 
         No observation is of two of these.
         """
         whole = self.matrix
-        gain = whole[:kept, kept:] @ diags_array(1 / whole.diagonal()[kept:])
-        normal = (whole[:kept, :kept] - gain @ whole[kept:, :kept]).toarray()
-        return normal, self.right[:kept] - gain @ self.right[kept:]
+        gain = whole[:count, count:] @ diags_array(1 / whole.diagonal()[count:])
+        normal = (whole[:count, :count] - gain @ whole[count:, :count]).toarray()
+        return normal, self.right[:count] - gain @ self.right[count:]
 
 
 def components(ends: Index, count: int) -> Index:
@@ -213,7 +213,7 @@ def undetermined(normal: csc_array, factor: SuperLU | None = None) -> int | None
 def _checked(routine: Callable[..., Any], needs: str, *arrays: Float64) -> Float64:
     """Return what a routine makes of arrays, if it is finite, or they hold what is unknown."""
     with suppress(np.linalg.LinAlgError):
-        found = np.asarray(routine(*arrays), np.float64)
-        if np.isfinite(found).all() or any(np.isnan(each).any() for each in arrays):
-            return found
+        result = np.asarray(routine(*arrays), np.float64)
+        if np.isfinite(result).all() or any(np.isnan(values).any() for values in arrays):
+            return result
     raise InputError(f"{needs} (what is given is singular, or beyond measure)")

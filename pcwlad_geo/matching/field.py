@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN_LENGTH
+from pcwlad_geo.estimation.robust import SIGMA_OF_MEDIAN_LENGTH, irls
 from pcwlad_geo.estimation.solving import least_squares, pseudo_inverse
 from pcwlad_geo.matching.kernels.local_surfaces import fit_surfaces
 from pcwlad_geo.types import Float64, Index
@@ -203,14 +203,18 @@ def global_affine(xy_px: Float64, displacement_px: Float64) -> tuple[Float64, Fl
     standard error if the errors of the points are independent.
     """
     design = np.c_[np.ones(len(xy_px)), xy_px - xy_px.mean(axis=0)]
-    weight = np.ones(len(xy_px))
-    solution = np.zeros((3, 2))
-    for _ in range(20):
-        solution = least_squares(design * weight[:, None], displacement_px * weight[:, None])
-        residual = displacement_px - design @ solution
+
+    def solve(root: Float64) -> tuple[Float64, Float64]:
+        parameters = least_squares(design * root[:, None], displacement_px * root[:, None])
+        return parameters, displacement_px - design @ parameters
+
+    def roots(residual: Float64) -> Float64:
+        """Return the (n,) square roots of weights."""
         radial = np.hypot(residual[:, 0], residual[:, 1])
         scale = max(float(np.median(radial)), 1e-6)
-        weight = 1 / np.sqrt(1 + (radial / scale) ** 2)
+        return np.asarray(1 / np.sqrt(1 + (radial / scale) ** 2))
+
+    solution, residual, weight = irls(solve, roots, np.ones(len(xy_px)), rounds=20)
     # points on one line leave the slope across it undetermined: both give 0 there
     inverse = pseudo_inverse((design * weight[:, None] ** 2).T @ design, least=1e-10)
     variance = (weight[:, None] ** 2 * residual**2).sum(axis=0) / (weight**2).sum()

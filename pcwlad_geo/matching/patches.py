@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.estimation.transforms import mapped, similarity_between
+from pcwlad_geo.estimation.transforms import SimilarityTransform
 from pcwlad_geo.matching.channels import Channels
 from pcwlad_geo.matching.coarse import parabola_offset
 from pcwlad_geo.types import Bool, Float32, Float64, Index
@@ -89,9 +89,9 @@ class Patches:
         """
         xy = self.centres_px[self.agrees] - 0.5
         target_xy = xy + self.displacements_px[self.agrees]
-        matrix = similarity_between(xy, target_xy)
-        spread_px = np.percentile(np.hypot(*(mapped(matrix, xy) - target_xy).T), 95)
-        return matrix, float(spread_px)
+        similarity = SimilarityTransform.fit(xy, target_xy)
+        spread_px = np.percentile(np.hypot(*(similarity(xy) - target_xy).T), 95)
+        return similarity.matrix, float(spread_px)
 
 
 def window_sums(plane: Float32, side_px: int) -> Float64:

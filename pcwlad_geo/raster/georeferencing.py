@@ -11,8 +11,8 @@ from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.io import DatasetReader
 
-from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.estimation.solving import solve
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
 from pcwlad_geo.raster.crs import WGS84, transform_xy, utm_zone_of
 from pcwlad_geo.raster.grid import Grid, apply, is_invertible, linear_part
@@ -99,7 +99,7 @@ def geotransform_of(gcps: Sequence[GroundControlPoint]) -> tuple[Affine, float] 
         return None
     if _on_a_line(px) or _on_a_line(xy):
         return None
-    (a, b, c), (d, e, f) = affine_between(px, xy).tolist()
+    (a, b, c), (d, e, f) = AffineTransform.fit(px, xy).rows.tolist()
     transform = Affine(a, b, c, d, e, f)
     if not is_invertible(linear_part(transform)):
         return transform, np.inf

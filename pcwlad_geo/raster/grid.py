@@ -11,6 +11,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.raster.crs import displacement_m, in_turn, transform_xy, turn_of
 from pcwlad_geo.types import Float64
 
@@ -252,16 +253,16 @@ def is_invertible(matrix: Float64) -> bool:
 
 def apply(transform: Affine, points_xy: Float64) -> Float64:
     """Map (n, 2) points `points_xy` by the affine `transform`, usually px to map units, to (n, 2) points."""
-    points_xy = np.asarray(points_xy, dtype=np.float64)
-    return np.asarray(points_xy @ linear_part(transform).T + np.array([transform.c, transform.f]))
+    return _algebraic(transform)(points_xy)
 
 
 def apply_inverse(transform: Affine, points_xy: Float64) -> Float64:
     """Map (n, 2) points `points_xy`, usually map units, by the inverse of `transform` to (n, 2) points."""
-    # Differences first: eastings and northings have more digits than the inverse geotransform keeps.
-    origin = np.array([transform.c, transform.f])
-    matrix = inverse(linear_part(transform))
-    return np.asarray((np.asarray(points_xy, dtype=np.float64) - origin) @ matrix.T)
+    return _algebraic(transform).apply_inverse(points_xy)
+
+
+def _algebraic(transform: Affine) -> AffineTransform:
+    return AffineTransform.from_parts(linear_part(transform), np.array([transform.c, transform.f]))
 
 
 def composed(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
@@ -81,7 +81,9 @@ def error_of_sides_px(
 def _on_reference(target: Patch, window: Window, shift_px: list[int], points: TiePoints) -> Patch:
     """Return the target as an affine fit of the points puts it on the pixels of the reference."""
     origin = np.array([window.col, window.row], np.float64) + 0.5  # of array indices
-    matrix = affine_between(points.reference_xy_px - origin, points.target_xy_px - origin - shift_px)
+    matrix = AffineTransform.fit(
+        points.reference_xy_px - origin, points.target_xy_px - origin - shift_px
+    ).rows
     size, inverse = target.valid.shape[::-1], cv2.WARP_INVERSE_MAP
     values = target.values.astype(np.float32)
     values = np.asarray(cv2.warpAffine(values, matrix, size, flags=cv2.INTER_CUBIC | inverse), np.float32)

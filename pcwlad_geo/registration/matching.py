@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pcwlad_geo.correction.points import thin
-from pcwlad_geo.correction.selection import COMMON_SIGMA
+from pcwlad_geo.correction.selection import SELECTION
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import Runner, one_library_thread
 from pcwlad_geo.matching import TiePoints
@@ -332,5 +332,5 @@ def _with_error_of_sides(
         "as where one image shows heights, or other shadows: the tie points are means of the two, and share "
         "an error of half of that, which no residual shows and their sigmas hold"
     )
-    shared_px2 = np.diag((error_px / COMMON_SIGMA) ** 2)
+    shared_px2 = np.diag((error_px / SELECTION.common_sigma) ** 2)
     return replace(table, covariance_px2=table.covariance_px2 + shared_px2)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.correction.points import agreement, hold_out
+from pcwlad_geo.correction.agreement import agreement
+from pcwlad_geo.correction.points import hold_out
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import file_px_per_px
@@ -120,7 +121,7 @@ def _contradicted(
             f"{path}: the points mirror the target: the columns x and y (col, row) of one side are exchanged"
         )
     status = table.status.copy()
-    status[enabled[~neighbours.kept]] = "rejected"
+    status[enabled[~neighbours.consistent]] = "rejected"
     reason = None
     if neighbours.unexplained > parameters.most_unexplained:
         reason = (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pcwlad_geo.correction.models import affine_between
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.raster.cameras import Camera
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.types import Float64
@@ -63,7 +63,7 @@ def position_conflict(
     if apart_m is None or reference_m is None or target_m is None or len(reference_px) < 3:
         return None
     middles = [np.array(frame.grid.shape[::-1]) / 2 for frame in (reference, target)]
-    offset_px = affine_between(reference_px, target_px) @ [*middles[0], 1.0] - middles[1]
+    offset_px = AffineTransform.fit(reference_px, target_px).rows @ [*middles[0], 1.0] - middles[1]
     share = float(np.hypot(*offset_px)) / math.hypot(*target.grid.shape)
     found_m, tolerance_m = share * target_m, parameters.error_m + parameters.share * target_m
     exact = all(camera is not None and camera.height_m for camera in cameras)

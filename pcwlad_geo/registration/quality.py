@@ -9,9 +9,10 @@ from typing import Final, Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pcwlad_geo.correction.error_statistics import SIGMA_90, UNSURPRISING, Residuals, expected_ce90
-from pcwlad_geo.correction.models import JitterCorrection
+from pcwlad_geo.correction.error_statistics import SIGMA_90
+from pcwlad_geo.correction.expected_error import EXPECTED_ERROR, Residuals, expected_ce90
 from pcwlad_geo.correction.selection import Selection
+from pcwlad_geo.correction.waves import JitterCorrection
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64
@@ -306,7 +307,7 @@ def _cause(
             f"local displacements of {shared_px:.1f} px (68 % of the points) remain that the {model} model "
             "does not take out: parallax of another viewpoint, relief or sensor jitter"
         )
-    if times <= UNSURPRISING:
+    if times <= EXPECTED_ERROR.unsurprising:
         return "the matching is no more precise on this pair"
     if _most_hold(table, parameters):
         return "most of them fit; the others lie on what moved, such as clouds, or at another depth"

@@ -14,8 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.error_statistics import Accuracy, Proof
+from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.matching import Scales
 from pcwlad_geo.matching.epipolar import EpipolarGeometry, plane_residual_px

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pcwlad_geo.correction import Effort
-from pcwlad_geo.correction.error_statistics import Proof
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, JobLog, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner

@@ -18,16 +18,9 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 import rasterio
 
-from pcwlad_geo.correction.error_statistics import (
-    Accuracy,
-    Amount,
-    Count,
-    FloatPair,
-    Proof,
-    Share,
-    UnitStatistics,
-)
-from pcwlad_geo.correction.jitter import MIN_WAVE_POINTS, Peak, Profile, peaks, profile, smooth_rest
+from pcwlad_geo.correction.error_statistics import Accuracy, Amount, Count, FloatPair, Share, UnitStatistics
+from pcwlad_geo.correction.jitter import JITTER, Peak, Profile, peaks, profile, without_trend
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.bands import BandPart
 from pcwlad_geo.raster.grid import Grid
@@ -587,10 +580,10 @@ def _predicted_sigma(precision: PrecisionMap) -> PredictedSigma:
 def _profiles(registration: Registration) -> ProfilesEntry | None:
     """Return the displacement along rows and columns of the target beyond its cubic trend."""
     points = registration.tie_points.select("fit", "check", "unused")
-    if registration.selection is None or len(points) < MIN_WAVE_POINTS:
+    if registration.selection is None or len(points) < JITTER.min_points:
         return None
     window_px, at_px = registration.selection.footprint_px, points.predicted_px
-    rest = smooth_rest(at_px, points.displacement_px)
+    rest = without_trend(at_px, points.displacement_px)
     col, row = at_px.T
     heights = heights_m(registration, at_px)
     found = ProfilesEntry(

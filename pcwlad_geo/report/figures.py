@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.error_statistics import LOCKING_PX, Proof, Sensitivity
 from pcwlad_geo.correction.jitter import Profile
+from pcwlad_geo.correction.proof_result import LOCKING_PX, Proof, Sensitivity
 from pcwlad_geo.report.charts import (
     LARGE,
     NORMAL,

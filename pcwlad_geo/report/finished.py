@@ -12,7 +12,8 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
-from pcwlad_geo.correction.models import Correction, from_dict
+from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
 from pcwlad_geo.options import RUNNING, Settings

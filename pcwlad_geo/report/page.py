@@ -19,13 +19,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcwlad_geo.correction.error_statistics import (
-    LOCKING_PX,
-    CorrectionEntry,
-    Difficulty,
-    LimitEntry,
-    Proof,
-)
+from pcwlad_geo.correction.proof_result import LOCKING_PX, CorrectionEntry, Difficulty, LimitEntry, Proof
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.gdal import ignoring

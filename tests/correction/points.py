@@ -6,14 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fitted import Fit
-from pcwlad_geo.correction.models import (
-    AffineCorrection,
-    PolynomialBasis,
-    PolynomialCorrection,
-    ProjectiveCorrection,
-    SplineCorrection,
-    SplineGrid,
-)
+from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection
+from pcwlad_geo.correction.polynomials import PolynomialBasis, PolynomialCorrection
+from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ from affine import Affine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.models import AffineCorrection, Composition, Correction, from_dict
+from pcwlad_geo.correction.models import AffineCorrection, Composition, Correction
+from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 
 from .points import affine, polynomial, projective, scattered, spline

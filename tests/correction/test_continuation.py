@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from pcwlad_geo.correction.models import PolynomialCorrection, SplineCorrection, cubic_b_splines
+from pcwlad_geo.correction.polynomials import PolynomialCorrection
+from pcwlad_geo.correction.splines import SplineCorrection, cubic_b_splines
 
 from .points import inside, polynomial, scattered, spline
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pcwlad_geo.correction.cross_validation import SharedNoise, cross_validation_blocks, left_out_errors
 from pcwlad_geo.correction.fit import MODELS
-from pcwlad_geo.correction.points import SharedNoise, cross_validation_blocks, left_out_errors
 from pcwlad_geo.errors import InputError
 
 from .points import affine, isotropic, noise, scattered, window_noise

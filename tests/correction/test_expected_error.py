@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.error_statistics import (
-    CELLS_PER_WINDOW,
-    LEAST_COMMON_PX,
+from pcwlad_geo.correction.expected_error import (
+    EXPECTED_ERROR,
     Residuals,
     expected_ce90,
-    left_by_correction,
+    local_residuals,
 )
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.types import Float64
@@ -58,9 +57,9 @@ def test_points_without_noise_promise_no_more_than_two_images_allow() -> None:
     xy = points()
     selection = fitted(xy, np.tile([1.5, -0.5], (len(xy), 1)), "shift")
     residuals = residuals_of(selection, xy, np.tile([1.5, -0.5], (len(xy), 1)))
-    exact = Residuals(xy, residuals.residual_px, residuals.kept, np.full_like(xy, 1e-3))
+    exact = Residuals(xy, residuals.residual_px, residuals.consistent, np.full_like(xy, 1e-3))
     expected = expected_ce90(selection, exact, grid(), WINDOW_PX)
-    assert 2.1 * LEAST_COMMON_PX < expected < 0.2
+    assert 2.1 * EXPECTED_ERROR.least_common_px < expected < 0.2
 
 
 def test_displacements_that_the_model_does_not_follow_are_expected() -> None:
@@ -123,12 +122,12 @@ def test_where_the_ground_is_displaced_rejected_matches_count() -> None:
 def test_many_points_of_one_place_are_one_witness() -> None:
     """One wrong peak that many overlapping windows see says nothing of the ground around it."""
     xy = points(200)
-    middle = 18.5 * WINDOW_PX / CELLS_PER_WINDOW
+    middle = 18.5 * WINDOW_PX / EXPECTED_ERROR.cells_per_window
     cluster = middle + np.random.default_rng(4).uniform(-4, 4, (100, 2))
     every = np.concatenate([xy, cluster])
     left = np.concatenate([noise(200), np.full((100, 2), 6.0)])
     found = Residuals(every, left, np.arange(300) < 200, np.full_like(left, SIGMA_PX))
-    left = left_by_correction(found, grid(), WINDOW_PX).median_px
+    left = local_residuals(found, grid(), WINDOW_PX).median_px
     assert np.linalg.norm(left, axis=1).max() < 0.5
 
 

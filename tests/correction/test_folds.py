@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.points import cross_validation_blocks, spatial_blocks
+from pcwlad_geo.correction.cross_validation import cross_validation_blocks, spatial_blocks
 
 from .points import scattered
 

@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import CANDIDATES, MODELS
-from pcwlad_geo.correction.jitter import Peak, peaks, profile, smooth_rest
-from pcwlad_geo.correction.models import JitterCorrection, from_dict
+from pcwlad_geo.correction.jitter import Peak, peaks, profile, without_trend
+from pcwlad_geo.correction.reading import from_dict
+from pcwlad_geo.correction.waves import JitterCorrection
 from pcwlad_geo.errors import InputError
 
 from .points import isotropic, noise, scattered, window_noise
@@ -52,7 +53,7 @@ def oblique_waves(seed: int, at_px: Array, size_px: float, wavelength_px: float)
 def found_in(seed: int, amplitude: float, beside: float = 0.0) -> list[Peak]:
     at, moved = points(seed, amplitude)
     moved = moved + oblique_waves(seed, at, beside, 700)
-    return [each for each in peaks(at, smooth_rest(at, moved), WINDOW) if each.significant]
+    return [each for each in peaks(at, without_trend(at, moved), WINDOW) if each.significant]
 
 
 @pytest.mark.parametrize("seeds", [1, pytest.param(20, marks=pytest.mark.slow)])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.points import local_surface
+from pcwlad_geo.correction.local_surface import local_surface
 
 from .points import scattered
 

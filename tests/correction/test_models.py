@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcwlad_geo.correction.models import AffineCorrection, Correction, from_dict
+from pcwlad_geo.correction.models import AffineCorrection, Correction
+from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 
 from .points import affine, inside, polynomial, projective, scattered, spline

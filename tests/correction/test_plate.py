@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.models import SplineCorrection, SplineGrid
+from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.correction.thin_plate import (
-    MAX_CELLS,
+    THIN_PLATE,
     Successive,
     ThinPlateSystem,
     bending,
@@ -51,7 +51,7 @@ def test_a_plane_does_not_bend() -> None:
 def test_the_grid_covers_the_points_and_stays_small(n: int, side: float, window: int) -> None:
     points = scattered(0, n, side) * [1.0, 0.6] + [1e5, -300.0]
     grid = grid_of(points, window)
-    assert max(grid.cells) <= MAX_CELLS
+    assert max(grid.cells) <= THIN_PLATE.max_cells
     low = np.array(grid.origin_px)
     high = low + grid.spacing_px * np.array(grid.cells)
     assert (low <= points.min(axis=0) + 1e-6).all()

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import MODELS
-from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
-from pcwlad_geo.correction.thin_plate import fit_tps
+from pcwlad_geo.correction.selection import SELECTION, choose
+from pcwlad_geo.correction.spline_fit import fit_tps
 
 from .points import (
     affine,
@@ -92,7 +92,7 @@ def test_sigma_of_the_model_chosen_holds_whatever_the_field() -> None:
     for seed in range(12):
         points = scattered(seed, 350, SIDE)
         size = (0.0, 0.3, 2.0)[seed % 3]
-        common = COMMON_SIGMA * noise(1000 + seed, 1, 0.1)  # what all points err alike
+        common = SELECTION.common_sigma * noise(1000 + seed, 1, 0.1)  # what all points err alike
         observed = points + waves(seed, points, size, 900) + errors_px(seed, points, 0.5) + common
         selection = choose(points, observed, isotropic(350, 0.1), 81)
         moved = selection.fit.correction.forward(places) - places

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction import fit, fitted
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.fitted import Trend
-from pcwlad_geo.correction.selection import COMMON_SIGMA, choose
+from pcwlad_geo.correction.selection import SELECTION, choose
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import Estimate
 
@@ -280,7 +280,9 @@ def test_the_precision_of_a_model_chosen_by_hand_knows_what_it_misses() -> None:
     np.testing.assert_allclose(selection.sigma(places).mean(axis=0), size, rtol=0.25)
     straight = choose(points, points + noise(23, 400, 0.1), isotropic(400, 0.1), 81, ("shift",))
     assert predicted_sigma(straight.fit, places).max() < 0.015
-    assert straight.sigma(places).max() < COMMON_SIGMA * 0.1 + 0.005  # and what all points err alike
+    assert (
+        straight.sigma(places).max() < SELECTION.common_sigma * 0.1 + 0.005
+    )  # and what all points err alike
 
 
 @pytest.mark.slow

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.thin_plate import SmoothingTrials, ThinPlateSystem, fit_tps
+from pcwlad_geo.correction.smoothing import SmoothingTrials
+from pcwlad_geo.correction.spline_fit import fit_tps
+from pcwlad_geo.correction.thin_plate import ThinPlateSystem
 from pcwlad_geo.estimation.shared_errors import Overlaps, probes_of
 
 from .points import inside, isotropic, noise, scattered, waves, window_noise
@@ -33,8 +35,10 @@ def test_the_information_used_up_is_that_of_dense_algebra(outliers: int, relativ
     hat = design @ np.linalg.solve((design.T * precision) @ design + smoothing * energy, design.T * precision)
     overlaps = trials.overlaps.times(np.eye(200))[outliers:, outliers:]
     # Random signs: to some hundredths of what there is to use.
-    assert trial.used[0] == pytest.approx(np.trace(hat) / len(hat), abs=0.01, rel=0.05)
-    assert trial.used[1] == pytest.approx(np.trace(hat @ overlaps) / len(hat), abs=0.01, rel=0.1)
+    assert trial.parameters_per_point[0] == pytest.approx(np.trace(hat) / len(hat), abs=0.01, rel=0.05)
+    assert trial.parameters_per_point[1] == pytest.approx(
+        np.trace(hat @ overlaps) / len(hat), abs=0.01, rel=0.1
+    )
     residual = trials.values_px[outliers:] - hat @ trials.values_px[outliers:]
     assert trial.squares == pytest.approx(100 * (residual**2).sum() / 2)
 
@@ -42,8 +46,8 @@ def test_the_information_used_up_is_that_of_dense_algebra(outliers: int, relativ
 def test_the_score_is_ordinary_cross_validation_for_independent_errors() -> None:
     trials = trials_of(scattered(1, 200), noise(1, 200, 0.1), 0.0)
     trial = trials.at(trials.smoothing(30.0))
-    assert trial.used[0] == pytest.approx(trial.used[1])
-    assert trial.score(0.0) == pytest.approx(trial.squares / (1 - trial.used[0]) ** 2)
+    assert trial.parameters_per_point[0] == pytest.approx(trial.parameters_per_point[1])
+    assert trial.score(0.0) == pytest.approx(trial.squares / (1 - trial.parameters_per_point[0]) ** 2)
     assert trials.at(trials.smoothing(1e-9)).score(1.0) == np.inf
 
 

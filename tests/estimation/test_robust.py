@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.estimation.robust import REJECTION_SIGMA, axis_sigma, biweight, huber, sigma_of, unit_sigma
+from pcwlad_geo.estimation.robust import ROBUST, axis_sigma, biweight, huber, sigma_of, unit_sigma
 
 
 def test_scales_are_standard_deviations() -> None:
@@ -20,5 +20,5 @@ def test_scales_are_standard_deviations() -> None:
 
 def test_weights_fall_beyond_a_limit_or_up_to_it() -> None:
     np.testing.assert_allclose(huber(np.array([0.5, 2.0, 4.0]), 2.0), [1.0, 1.0, 0.5])
-    squared = np.array([0.0, 0.5, 1.0, 4.0]) * REJECTION_SIGMA**2
+    squared = np.array([0.0, 0.5, 1.0, 4.0]) * ROBUST.rejection_sigma**2
     np.testing.assert_allclose(biweight(squared), [1.0, 0.25, 0.0, 0.0])

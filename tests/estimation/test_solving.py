@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
+from pcwlad_geo.correction.agreement import agreement
 from pcwlad_geo.correction.dense import invert
 from pcwlad_geo.correction.fit import MODELS
-from pcwlad_geo.correction.points import agreement
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import (
     BandedFactor,

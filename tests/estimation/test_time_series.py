@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.estimation.time_series import (
-    MIN_IMAGES,
-    MIN_SIDE,
-    Motions,
-    analyse,
-    displacements,
-    velocities,
-)
+from pcwlad_geo.estimation.time_series import SERIES, analyse
+from pcwlad_geo.estimation.velocities import Motions, displacements, velocities
 from pcwlad_geo.types import Float64
 
 SIGMA_PX = 0.03
@@ -28,7 +22,7 @@ def make_series(count: int, seed: int, span_years: float = 4.0) -> tuple[Float64
 @pytest.mark.parametrize("seed", range(12))
 def test_of_noise_nothing_is_made(seed: int) -> None:
     model = analyse(*make_series(40, seed))
-    assert model.found == ()
+    assert model.terms == ()
     assert not model.outliers.any()
     assert np.hypot(*model.level_px) < 5 * SIGMA_PX / 40**0.5
     assert 0.7 * SIGMA_PX < model.noise_px < 1.4 * SIGMA_PX
@@ -38,7 +32,7 @@ def test_of_noise_nothing_is_made(seed: int) -> None:
 def test_a_step_is_found_with_its_date_and_size(at: int, size: tuple[float, float]) -> None:
     years, moved_px, sigma_px = make_series(40, 3)
     moved_px[at:] += size
-    (found,) = analyse(years, moved_px, sigma_px).found
+    (found,) = analyse(years, moved_px, sigma_px).terms
     assert (found.term.kind, found.term.at) == ("step", at)
     assert np.abs(found.size_px[0] - size).max() < 3.5 * found.sigma_px < 0.06
 
@@ -48,7 +42,7 @@ def test_two_steps_in_a_season_are_found() -> None:
     moved_px += 0.08 * np.column_stack([np.cos(2 * np.pi * years), np.sin(2 * np.pi * years)])
     moved_px[18:] += (0.15, 0.1)
     moved_px[42:] -= (0.3, 0.0)
-    found = analyse(years, moved_px, sigma_px).found
+    found = analyse(years, moved_px, sigma_px).terms
     assert [(each.term.kind, each.term.at) for each in found] == [("step", 18), ("step", 42), ("season", 0)]
     waves = found[2].size_px
     assert np.abs(waves - [[0.08, 0.0], [0.0, 0.08]]).max() < 4 * found[2].sigma_px < 0.04
@@ -58,7 +52,7 @@ def test_a_drift_is_no_row_of_steps() -> None:
     years, moved_px, sigma_px = make_series(40, 5)
     moved_px += (years - years[0])[:, None] * (0.05, -0.02)
     model = analyse(years, moved_px, sigma_px)
-    (found,) = model.found
+    (found,) = model.terms
     assert found.term.kind == "drift"
     assert np.abs(found.size_px[0] - (0.05, -0.02)).max() < 4 * found.sigma_px < 0.02
     last = (years[-1] - years[0]) * np.array([0.05, -0.02])
@@ -69,42 +63,42 @@ def test_clouds_are_outliers_and_no_steps() -> None:
     years, moved_px, sigma_px = make_series(40, 6)
     moved_px[[7, 21, 39]] += (0.6, -0.4)
     model = analyse(years, moved_px, sigma_px)
-    assert model.found == ()
+    assert model.terms == ()
     assert np.flatnonzero(model.outliers).tolist() == [7, 21, 39]
 
 
 def test_sigmas_that_are_too_small_make_no_steps() -> None:
     """What neighbours differ by beyond their sigmas is noise, too."""
     years, moved_px, sigma_px = make_series(40, 7)
-    assert analyse(years, moved_px, sigma_px / 100).found == ()
+    assert analyse(years, moved_px, sigma_px / 100).terms == ()
 
 
 def test_a_step_of_fewer_images_than_tell_is_none() -> None:
     years, moved_px, sigma_px = make_series(40, 8)
-    moved_px[40 - MIN_SIDE + 1 :] += (0.5, 0.5)
+    moved_px[40 - SERIES.min_side + 1 :] += (0.5, 0.5)
     model = analyse(years, moved_px, sigma_px)
-    assert model.found == ()
-    assert model.outliers[40 - MIN_SIDE + 1 :].all()
+    assert model.terms == ()
+    assert model.outliers[40 - SERIES.min_side + 1 :].all()
 
 
 @pytest.mark.parametrize("count", [8, 10, 12])
 def test_a_clear_step_in_a_short_series_is_found(count: int) -> None:
     years, moved_px, sigma_px = make_series(count, 13)
     moved_px[4:] += (1.0, -0.8)
-    (found,) = analyse(years, moved_px, sigma_px).found
+    (found,) = analyse(years, moved_px, sigma_px).terms
     assert (found.term.kind, found.term.at) == ("step", 4)
 
 
 def test_of_short_noise_nothing_is_made() -> None:
-    alarms = sum(bool(analyse(*make_series(8 + seed % 5, seed)).found) for seed in range(200))
+    alarms = sum(bool(analyse(*make_series(8 + seed % 5, seed)).terms) for seed in range(200))
     assert alarms <= 3  # 1.2 expected at most
 
 
-@pytest.mark.parametrize("count", [1, 2, MIN_IMAGES - 1])
+@pytest.mark.parametrize("count", [1, 2, SERIES.min_images - 1])
 def test_short_series_have_a_level_only(count: int) -> None:
     years, moved_px, sigma_px = make_series(count, 9)
     model = analyse(years, moved_px + np.array([5.0, 0.0]), sigma_px)
-    assert model.found == ()
+    assert model.terms == ()
     assert np.abs(model.level_px - (5.0, 0.0)).max() < 5 * SIGMA_PX
 
 
@@ -129,10 +123,10 @@ def test_errors_that_hang_together_make_no_steps() -> None:
     for seed in range(20):
         years, moved_px, covariance = network(40, seed)
         sigma_px = np.sqrt(np.diag(covariance))
-        alarms += bool(analyse(years, moved_px, sigma_px, covariance).found)
-        blind += bool(analyse(years, moved_px, sigma_px).found)
+        alarms += bool(analyse(years, moved_px, sigma_px, covariance).terms)
+        blind += bool(analyse(years, moved_px, sigma_px).terms)
         moved_px[20:] += (0.2, -0.2)
-        terms = [each.term for each in analyse(years, moved_px, sigma_px, covariance).found]
+        terms = [each.term for each in analyse(years, moved_px, sigma_px, covariance).terms]
         found += any(term.kind == "step" and term.at == 20 for term in terms)
     assert alarms <= 1
     assert blind >= 10  # what it would be without the covariance
@@ -144,20 +138,20 @@ def test_a_drift_in_a_season_is_no_row_of_steps(seed: int) -> None:
     years, moved_px, sigma_px = make_series(36, seed)
     moved_px += 0.1 * np.column_stack([np.cos(2 * np.pi * years), np.sin(2 * np.pi * years)])
     moved_px += (years - years[0])[:, None] * (0.08, -0.06)
-    assert {each.term.kind for each in analyse(years, moved_px, sigma_px).found} == {"drift", "season"}
+    assert {each.term.kind for each in analyse(years, moved_px, sigma_px).terms} == {"drift", "season"}
 
 
 def test_no_step_lies_within_a_day() -> None:
     years, moved_px, sigma_px = make_series(24, 12)
     years[:] = np.repeat([50.0, 51.0], 12)
     moved_px[6:] += (0.3, 0.0)
-    assert all(each.term.at == 12 for each in analyse(years, moved_px, sigma_px).found)
+    assert all(each.term.at == 12 for each in analyse(years, moved_px, sigma_px).terms)
 
 
 def test_images_of_one_day_and_sigmas_of_zero_are_borne() -> None:
     years, moved_px, _ = make_series(20, 10)
     model = analyse(np.full(20, years[0]), moved_px, np.zeros(20))
-    assert model.found == ()
+    assert model.terms == ()
     assert np.isfinite(model.fitted_px).all()
 
 

@@ -15,7 +15,8 @@ from affine import Affine
 
 from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, RequirementError, warp
 from pcwlad_geo.cli.app import run
-from pcwlad_geo.correction.models import Correction, SplineCorrection, SplineGrid
+from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.events import Event
 from tests.registrations import Make
 

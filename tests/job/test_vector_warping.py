@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo import InputError, OutputError, SettingsError, Warned, warp
 from pcwlad_geo.cli.app import run
-from pcwlad_geo.correction.models import SplineCorrection, SplineGrid
+from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.correction.vertices import DensifyingParameters, densify
 from pcwlad_geo.events import Event
 from pcwlad_geo.raster.grid import Grid

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.error_statistics import LEAST_COMMON_PX
+from pcwlad_geo.correction.expected_error import EXPECTED_ERROR
 from pcwlad_geo.matching.jitter import jitter_px
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import register_pair
@@ -75,5 +75,5 @@ def test_a_pair_expects_the_error_of_jitter_that_its_windows_average_out(
     true_px = float(np.percentile(np.linalg.norm(off, axis=1), 90))
     assert found.quality.grade == grade
     assert true_px < max(1.5 * found.quality.expected_ce90_px, 0.05)
-    assert found.quality.expected_ce90_px < max(1.5 * true_px, 2.3 * LEAST_COMMON_PX)
+    assert found.quality.expected_ce90_px < max(1.5 * true_px, 2.3 * EXPECTED_ERROR.least_common_px)
     assert any("jitter" in warning for warning in found.warnings) == (size_px > 0)

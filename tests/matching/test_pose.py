@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.models import affine_between
-from pcwlad_geo.estimation.transforms import inverse_of_step, square
+from pcwlad_geo.estimation.transforms import AffineTransform, inverse_of_step, square
 from pcwlad_geo.matching.grey_values import GREY
 from pcwlad_geo.matching.pose import search as pose_search
 from pcwlad_geo.matching.pose.ascent import Ascent
@@ -329,7 +328,7 @@ def test_patches_in_one_part_tell_a_similarity_unless_it_fits_worse(stretch: flo
     target_px += draw.normal(0.0, 2.5, target_px.shape)
     agrees = np.arange(60) < 50
     target_px[~agrees] += draw.uniform(20.0, 60.0, (10, 2))
-    affine = np.vstack([affine_between(reference_px[agrees], target_px[agrees]), [0.0, 0.0, 1.0]])
+    affine = AffineTransform.fit(reference_px[agrees], target_px[agrees]).matrix
     found = similarity_if_as_good(affine, reference_px, target_px, agrees, 6.0, POSE.consensus)
     values = np.linalg.svd(found[:2, :2], compute_uv=False)
     if stretch == 1.0:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.models import PolynomialBasis
+from pcwlad_geo.correction.polynomials import PolynomialBasis
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.stack.adjustment import adjust, critical, extend
 from pcwlad_geo.multi.stack.bases import SplineBasis, basis_over, penalty_of, terms_of

@@ -12,7 +12,7 @@ import rasterio
 from affine import Affine
 
 from pcwlad_geo import InputError
-from pcwlad_geo.correction.models import PolynomialBasis, PolynomialCorrection
+from pcwlad_geo.correction.polynomials import PolynomialBasis, PolynomialCorrection
 from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.multi.watch.run import watch
 from tests.cli.process import run_cli

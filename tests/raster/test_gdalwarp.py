@@ -12,7 +12,7 @@ import rasterio
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.correction.models import SplineCorrection, SplineGrid
+from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.warping import warp
 from pcwlad_geo.tiepoints.gcps import write_gcps_vrt

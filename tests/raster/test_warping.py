@@ -17,13 +17,8 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, MaskFlags
 
-from pcwlad_geo.correction.models import (
-    AffineCorrection,
-    Correction,
-    ProjectiveCorrection,
-    SplineCorrection,
-    SplineGrid,
-)
+from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
+from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.gdal import raising_gdal_reports

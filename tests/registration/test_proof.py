@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.error_statistics import Move, Proof, TrialEntry
+from pcwlad_geo.correction.proof_result import Move, Proof, TrialEntry
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.events import JobLog, ignore
 from pcwlad_geo.execution.runner import InThisProcess

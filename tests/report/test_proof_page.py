@@ -11,7 +11,7 @@ import jsonschema
 import pytest
 
 from pcwlad_geo.cli.job import proof_text
-from pcwlad_geo.correction.error_statistics import (
+from pcwlad_geo.correction.proof_result import (
     ClassEntry,
     CorrectionEntry,
     EvidenceEntry,

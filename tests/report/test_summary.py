@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.correction.fit import CANDIDATES
-from pcwlad_geo.correction.models import from_dict
+from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.raster.identity import FileIdentity
 from pcwlad_geo.registration import InputFile, Registration

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcwlad_geo.estimation.solving import least_squares, solve
-from pcwlad_geo.estimation.transforms import affine_matrix, mapped, similarity_between
+from pcwlad_geo.estimation.transforms import SimilarityTransform, affine_matrix
 from pcwlad_geo.matching.pose.parameters import ConsensusParameters
 from pcwlad_geo.types import Bool, Float64
 
@@ -93,11 +93,11 @@ def similarity_if_as_good(
     """
     inliers = agrees
     for _ in range(parameters.refits):
-        similarity = similarity_between(reference_px[inliers], target_px[inliers])
-        inliers = np.hypot(*(mapped(similarity, reference_px) - target_px).T) <= tolerance_px
+        similarity = SimilarityTransform.fit(reference_px[inliers], target_px[inliers])
+        inliers = np.hypot(*(similarity(reference_px) - target_px).T) <= tolerance_px
         if np.count_nonzero(inliers) < parameters.similarity_share * np.count_nonzero(agrees):
             return affine
-    return similarity
+    return similarity.matrix
 
 
 def _is_plausible(linear: Float64, parameters: ConsensusParameters) -> Bool:

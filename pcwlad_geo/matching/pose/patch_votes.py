@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.estimation.transforms import mapped, scale_at, scale_of, square
+from pcwlad_geo.estimation.transforms import AffineTransform, scale_at, scale_of, square
 from pcwlad_geo.matching.patches import window_sums
 from pcwlad_geo.matching.pose.comparisons import Comparison, StructureComparison
 from pcwlad_geo.matching.pose.consensus import Votes, affine_consensus, similarity_if_as_good
@@ -58,8 +58,8 @@ class VotingPatches:
         votes = self._votes(pose, sample=sample)
         agreed = votes.to_target @ votes.matrix @ self._to_voting
         if not sample and votes.agrees.any():
-            reference_px = mapped(inverse(self._to_voting), votes.middles_px)
-            target_px = mapped(votes.to_target, votes.target_middles_px)
+            reference_px = AffineTransform(inverse(self._to_voting))(votes.middles_px)
+            target_px = AffineTransform(votes.to_target)(votes.target_middles_px)
             tolerance_px = self._consensus.tolerance_px * scale_of(agreed) / self._factor
             agreed = similarity_if_as_good(
                 agreed, reference_px, target_px, votes.agrees, tolerance_px, self._consensus
@@ -102,12 +102,12 @@ class VotingPatches:
 
     def _votes(self, pose: Float64, *, sample: bool = False) -> Votes:
         """Return the votes of the patches, or of a sample, with the target placed by a (3, 3) pose."""
-        from_voting = inverse(self._to_voting)
-        middle_px = mapped(from_voting, (np.array([self._shape[::-1]]) - 1) / 2)[0]
+        from_voting = AffineTransform(inverse(self._to_voting))
+        middle_px = from_voting((np.array([self._shape[::-1]]) - 1) / 2)[0]
         small, valid, to_small = shrunk(
             self._target.values, self._target.valid, min(1.0, self._factor / scale_at(pose, middle_px))
         )
-        to_placed = to_small @ pose @ from_voting
+        to_placed = to_small @ pose @ from_voting.matrix
         image = warped_image(small, valid, to_placed, self._shape, self._by.reach_px)
         table = self._displacements(*self._comparison.planes(*image), sample=sample)
         return affine_consensus(*table, inverse(to_small) @ to_placed, self._consensus)

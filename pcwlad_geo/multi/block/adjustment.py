@@ -16,6 +16,8 @@ import numpy as np
 
 from pcwlad_geo.correction.fit import LOSSLESS
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.selection import SELECTION
+from pcwlad_geo.estimation.comparison import is_significant, simplest_unbeaten
 from pcwlad_geo.estimation.robust import (
     MEASURED,
     jackknife,
@@ -160,13 +162,13 @@ def adjust_block(
 
 def _selected_model(errors: Mapping[str, Float64], parameters: BlockParameters) -> str:
     """Return the last model that clearly beats the one so far, or the first, by (cells,) squared errors."""
-    best, *flexible = errors
-    for model in flexible:
-        gain = errors[best] - errors[model]
-        clear = len(gain) >= parameters.min_cells and gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain))
-        if clear and gain.mean() > parameters.min_gain_px**2:
-            best = model
-    return best
+
+    def beats(model: str, simpler: str) -> bool:
+        gain = errors[simpler] - errors[model]
+        enough = len(gain) >= parameters.min_cells
+        return enough and is_significant(gain, SELECTION.significance, parameters.min_gain_px**2)
+
+    return simplest_unbeaten(errors, beats)
 
 
 def _solved(problem: BlockProblem) -> BlockEstimate:

@@ -8,7 +8,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import ErrorStatistics, Proof, in_units
+from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.multi.qa.bands import Band
 from pcwlad_geo.products.finding import native_per_px
 from pcwlad_geo.raster.grid import pixel_sizes_m

@@ -8,7 +8,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, cast
 
-from pcwlad_geo.correction.error_statistics import Count, FloatPair, Proof, UnitStatistics
+from pcwlad_geo.correction.error_statistics import Count, FloatPair, UnitStatistics
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.multi.qa.band_pairs import BandPairStatus, LocalMean, PairResult, local_means
 from pcwlad_geo.multi.qa.bands import Band
 from pcwlad_geo.multi.qa.closure import Triangle

@@ -11,7 +11,8 @@ import numpy as np
 
 from pcwlad_geo.correction.error_statistics import float_pair
 from pcwlad_geo.correction.fit import MODELS
-from pcwlad_geo.correction.models import PolynomialBasis, SplineGrid
+from pcwlad_geo.correction.polynomials import PolynomialBasis
+from pcwlad_geo.correction.splines import SplineGrid
 from pcwlad_geo.correction.thin_plate import bending
 from pcwlad_geo.multi.stack.parameters import SPLINES, SplineParameters
 from pcwlad_geo.types import Float64

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pcwlad_geo.estimation.robust import BLOCK_CORRELATION, MEASURED, outlier_factors, sigma_of
+from pcwlad_geo.estimation.robust import MEASURED, ROBUST, outlier_factors, sigma_of
 from pcwlad_geo.estimation.solving import RANK, inverse, least_squares, solve
 from pcwlad_geo.multi.stack.bases import Basis, polynomial_over
 from pcwlad_geo.multi.stack.edges import Edge
@@ -210,7 +210,7 @@ def _error(points: _Weighted, sums: Sequence[Float64], number: Index) -> float:
     changes = (np.array(solutions) - np.mean(solutions, axis=0)).reshape(len(solutions), 2, terms)
     moment = points.affine.T @ points.affine / len(points.affine)
     variance = np.einsum("kat,ts,kas->", changes, moment, changes) / 2 * (len(solutions) - 1) / len(solutions)
-    return BLOCK_CORRELATION * float(np.sqrt(variance))
+    return ROBUST.block_correlation * float(np.sqrt(variance))
 
 
 def _solved(normal: Float64, right: Float64) -> Float64:

@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from pcwlad_geo.correction.models import PolynomialBasis, ProjectiveCorrection
+from pcwlad_geo.correction.models import ProjectiveCorrection
+from pcwlad_geo.correction.polynomials import PolynomialBasis
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import components, inverse
 from pcwlad_geo.matching.epipolar import EPIPOLAR, EpipolarGeometry, largest_distance_px, plane_of

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.correction.fit import of_option
-from pcwlad_geo.correction.selection import MIN_GAIN_PX, RESAMPLING_SIGNIFICANCE
+from pcwlad_geo.correction.selection import SELECTION
+from pcwlad_geo.estimation.comparison import is_significant, simplest_unbeaten
 from pcwlad_geo.multi.stack.adjustment import Adjustment, adjust, network_of
 from pcwlad_geo.multi.stack.bases import (
     IMAGE_MODELS,
@@ -89,13 +90,15 @@ def choose_basis(
         scatter = np.min([[part.scatter for part in trial.parts] for trial in trials], axis=0)
         shared = np.min([trial.shared for trial in trials], axis=0)
         errors = [_errors(trial, start, scatter, shared) for trial in trials]
-    typical, best = float(np.median(scatter)), 0
-    for number in range(1, len(bases)):
-        gain = errors[best] - errors[number]
+    typical = float(np.median(scatter))
+
+    def beats(number: int, simpler: int) -> bool:
+        gain = errors[simpler] - errors[number]
         gain = gain[np.isfinite(gain)]
-        if len(gain) > 1 and _is_better(gain, lossless(bases[best]), lossless(bases[number]), typical):
-            best = number
-    return bases[best]
+        both = lossless(bases[simpler]), lossless(bases[number])
+        return len(gain) > 1 and _is_better(gain, *both, typical)
+
+    return bases[simplest_unbeaten(range(len(bases)), beats)]
 
 
 def _is_better(gain: Float64, lossless_before: bool, lossless_after: bool, scatter: float) -> bool:
@@ -105,13 +108,12 @@ def _is_better(gain: Float64, lossless_before: bool, lossless_after: bool, scatt
     needs resampling must gain more than these where the other one is lossless, and between two models that
     need resampling the better one is chosen, however small its gain.
     """
-    error = gain.std(ddof=1) / np.sqrt(len(gain))
     if not lossless_before:
-        return bool(gain.mean() > 0)
+        return is_significant(gain, SELECTION.dense_significance)
     if lossless_after:
-        return bool(gain.mean() > 2 * error)
-    enough = scatter * np.sqrt(max(gain.mean(), 0.0)) >= MIN_GAIN_PX
-    return bool(enough and gain.mean() > RESAMPLING_SIGNIFICANCE * error)
+        return is_significant(gain, 2.0)
+    enough = scatter * np.sqrt(max(gain.mean(), 0.0)) >= SELECTION.min_gain_px
+    return bool(enough) and is_significant(gain, SELECTION.resampling_significance)
 
 
 def _nearest(

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.correction.fit import MODELS
-from pcwlad_geo.correction.models import AffineCorrection, Correction, affine_between
+from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.pages import class_names, signed
 from pcwlad_geo.multi.stack.closure import root_mean_square
@@ -232,7 +232,7 @@ def _worst_registration(
     correction = worst.correction
     if not np.allclose(partner.correction.forward(at_px), at_px):
         displaced_px = correction.forward(predict_px(partner.correction.inverse(at_px), reference, target))
-        correction = AffineCorrection("affine", affine_between(predicted, displaced_px))
+        correction = AffineCorrection.fit(predicted, displaced_px)
     table = _table(reference, at_px, observed_px, predicted, correction)
     return Registration(
         decision=Decision(),

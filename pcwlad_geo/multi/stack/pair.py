@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from pcwlad_geo.correction.error_statistics import Proof
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.multi.stack.bases import basis_over

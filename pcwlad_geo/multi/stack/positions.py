@@ -10,15 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from pcwlad_geo.correction.error_statistics import float_pair
-from pcwlad_geo.correction.models import (
-    AffineCorrection,
-    Correction,
-    PolynomialBasis,
-    PolynomialCorrection,
-    SplineCorrection,
-    SplineGrid,
-    affine_between,
-)
+from pcwlad_geo.correction.models import AffineCorrection, Correction
+from pcwlad_geo.correction.polynomials import PolynomialBasis, PolynomialCorrection
+from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.multi.stack.adjustment import Adjustment
 from pcwlad_geo.multi.stack.bases import Basis, polynomial_over
@@ -164,7 +158,7 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
         shift = np.mean(observed_px - at_px, axis=0)
         return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
     if basis.order == 1:
-        return AffineCorrection("affine", affine_between(at_px, observed_px))
+        return AffineCorrection.fit(at_px, observed_px)
     image_basis = polynomial_over([at_px], basis.order)
     return PolynomialCorrection(
         f"polynomial{image_basis.order}",

@@ -11,7 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from pcwlad_geo.correction.models import AffineCorrection, Correction, affine_between, from_dict
+from pcwlad_geo.correction.models import AffineCorrection, Correction
+from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Progress, only_warnings
 from pcwlad_geo.multi.stack.catalogue import COLLECTION, Asset, stac_item, stac_texts
@@ -118,6 +119,6 @@ def _corrected_grid(grid: Grid, correction: Correction) -> tuple[Grid, float]:
         return replace(grid, transform=corrected_transform(grid, correction)), 0.0
     observed_px = grid.lattice_px(NODES)
     predicted_px = correction.inverse(observed_px)
-    nearest = AffineCorrection("affine", affine_between(predicted_px, observed_px))
+    nearest = AffineCorrection.fit(predicted_px, observed_px)
     off_px = np.hypot(*(nearest.forward(predicted_px) - observed_px).T)
     return replace(grid, transform=corrected_transform(grid, nearest)), float(off_px.max())

@@ -14,9 +14,10 @@ from affine import Affine
 from scipy import ndimage
 
 from pcwlad_geo.correction.error_statistics import float_pair
-from pcwlad_geo.correction.models import Correction, from_dict
+from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.estimation.time_series import MIN_MOVING_IMAGES, Motions, displacements, velocities
+from pcwlad_geo.estimation.velocities import VELOCITY, Motions, displacements, velocities
 from pcwlad_geo.events import EventCallback, Progress
 from pcwlad_geo.multi.stack.finished import RasterInfoOrError, frame_again
 from pcwlad_geo.multi.stack.frame import StackFrame
@@ -132,9 +133,9 @@ def moving_ground(
     Raises `InputError` if too few dates tell, an image or a pair cannot be read, or the images have RPCs.
     """
     span = dated[-1].year - dated[0].year
-    if len(dated) < MIN_MOVING_IMAGES or span < parameters.min_span_years:
+    if len(dated) < VELOCITY.min_images or span < parameters.min_span_years:
         raise InputError(
-            f"{len(dated)} dates in {span:.2f} years are too few: {MIN_MOVING_IMAGES} are needed"
+            f"{len(dated)} dates in {span:.2f} years are too few: {VELOCITY.min_images} are needed"
         )
     frame = frame_again(numbers, infos)
     corrections = [from_dict(entry["model"]) for entry in numbers["images"]]

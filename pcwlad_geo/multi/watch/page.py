@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from pcwlad_geo.estimation.time_series import MIN_IMAGES
+from pcwlad_geo.estimation.time_series import SERIES
 from pcwlad_geo.multi.pages import write_texts
 from pcwlad_geo.multi.watch.ground_motion import MotionRaster, page_data, write_motion
 from pcwlad_geo.multi.watch.numbers import WatchNumbers
@@ -96,7 +96,7 @@ def _page(result: WatchNumbers, raster: MotionRaster | None) -> str:
     events = len(result.motion.regions) if result.motion else 0
     for series in result.series:
         events += len(series.steps) + bool(series.drift) + bool(series.season) + bool(series.last_outliers)
-    too_few = all(len(series.images) < MIN_IMAGES for series in result.series)
+    too_few = all(len(series.images) < SERIES.min_images for series in result.series)
     state = "bad" if result.passed is False else "caution" if events or too_few else "good"
     environment = page_environment("pcwlad_geo.multi")
     return environment.get_template("watch.html.j2").render(

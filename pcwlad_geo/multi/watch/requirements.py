@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pcwlad_geo.correction.error_statistics import float_pair
-from pcwlad_geo.estimation.time_series import MIN_IMAGES, MIN_SEASON_IMAGES, MIN_SEASON_YEARS
+from pcwlad_geo.estimation.time_series import SERIES
 from pcwlad_geo.multi.watch.ground_motion import GroundMotion
 from pcwlad_geo.multi.watch.numbers import ImageSeries, SeriesOffset, WatchedImage
 from pcwlad_geo.requirements import Figure, Requirement, RequirementResult, judge
@@ -55,10 +55,11 @@ def _not_sought(
 ) -> str | None:
     """Return why a figure is not known; None where it is."""
     shortest, span = min(len(group.images) for group in series), min(group.span_years for group in series)
-    if statistic in ("step", "drift", "latest") and shortest < MIN_IMAGES:
-        return f"not known: a series has {shortest} images, and {MIN_IMAGES} are needed"
-    if statistic == "season" and (shortest < MIN_SEASON_IMAGES or span < MIN_SEASON_YEARS):
-        return f"not known: {MIN_SEASON_IMAGES} images in {MIN_SEASON_YEARS} years are needed of each series"
+    if statistic in ("step", "drift", "latest") and shortest < SERIES.min_images:
+        return f"not known: a series has {shortest} images, and {SERIES.min_images} are needed"
+    if statistic == "season" and (shortest < SERIES.min_season_images or span < SERIES.min_season_years):
+        images, years = SERIES.min_season_images, SERIES.min_season_years
+        return f"not known: {images} images in {years} years are needed of each series"
     if statistic == "offset" and len(offsets) < max(1, len(series) - 1):
         return "not known: there is one series, or no size of a pixel relates them"
     if statistic == "motion" and motion is None:

@@ -61,7 +61,7 @@ def series_of(name: str, images: Sequence[DatedImage], covariance: Float64 | Non
     model = analyse(years, np.array([image.shift_px for image in images]), sigma_px, covariance)
     sizes_m = [image.pixel_size_m for image in images if image.pixel_size_m]
     steps, drifts, seasons = (
-        [change for change in model.found if change.term.kind == kind] for kind in ("step", "drift", "season")
+        [change for change in model.terms if change.term.kind == kind] for kind in ("step", "drift", "season")
     )
     return ImageSeries(
         name=name,

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pcwlad_geo.correction.models import AffineCorrection, affine_between
+from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.rpc.model import TERMS, Coefficients, RpcModel, polynomial_terms
 from pcwlad_geo.types import Float64
 
@@ -165,7 +165,7 @@ def carried(
     correction = AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
     misfit_px = _largest(observed - correction.forward(predicted))
     if misfit_px > REFIT.shift_px:
-        correction = AffineCorrection("affine", affine_between(predicted, observed))
+        correction = AffineCorrection.fit(predicted, observed)
         misfit_px = _largest(observed - correction.forward(predicted))
     return correction, misfit_px
 

@@ -7,14 +7,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import (
-    ClassEntry,
-    Move,
-    PhaseEntry,
-    PointEntry,
-    SigmaEntry,
-    float_pair,
-)
+from pcwlad_geo.correction.error_statistics import float_pair
+from pcwlad_geo.correction.proof_result import ClassEntry, Move, PhaseEntry, PointEntry, SigmaEntry
 from pcwlad_geo.matching.field import global_affine
 from pcwlad_geo.matching.types import to_index
 from pcwlad_geo.registration.proof.errors import PointErrors, finite_mean, scatter

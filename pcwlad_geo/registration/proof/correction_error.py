@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pcwlad_geo.correction import Effort
-from pcwlad_geo.correction.error_statistics import (
-    CorrectionEntry,
-    float_pair,
-    radial_statistics,
-)
+from pcwlad_geo.correction.error_statistics import float_pair, radial_statistics
 from pcwlad_geo.correction.fit import MODELS
+from pcwlad_geo.correction.proof_result import CorrectionEntry
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import pseudo_inverse
 from pcwlad_geo.registration.fitting import AssessedFit

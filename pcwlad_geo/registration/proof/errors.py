@@ -8,9 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import (
-    Move,
-)
+from pcwlad_geo.correction.proof_result import Move
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.matching.kernels.library import in_threads

@@ -17,11 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from pcwlad_geo.correction import Effort
-from pcwlad_geo.correction.error_statistics import (
-    Proof,
-    float_pair,
-    radial_statistics,
-)
+from pcwlad_geo.correction.error_statistics import float_pair, radial_statistics
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import JobLog
 from pcwlad_geo.registration.fitting import AssessedFit

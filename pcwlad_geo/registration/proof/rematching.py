@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import (
-    Move,
-)
+from pcwlad_geo.correction.proof_result import Move
 from pcwlad_geo.matching import FieldGuide, Image, TiePoints, guide_by_field, match_candidates, rematch_with
 from pcwlad_geo.matching.first_pass import Core
 from pcwlad_geo.matching.outliers import consistent_points

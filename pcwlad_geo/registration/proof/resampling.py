@@ -11,9 +11,7 @@ import scipy.ndimage
 
 from pcwlad_geo.correction import Effort
 from pcwlad_geo.correction.dense import positions
-from pcwlad_geo.correction.error_statistics import (
-    Move,
-)
+from pcwlad_geo.correction.proof_result import Move
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.matching.gaps import fill_smoothly
 from pcwlad_geo.matching.kernels.library import fast_even

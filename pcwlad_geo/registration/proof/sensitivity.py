@@ -11,7 +11,8 @@ import numpy as np
 import scipy.fft
 import scipy.ndimage
 
-from pcwlad_geo.correction.error_statistics import (
+from pcwlad_geo.correction.error_statistics import float_pair
+from pcwlad_geo.correction.proof_result import (
     Difficulty,
     LevelUnit,
     LimitEntry,
@@ -19,10 +20,9 @@ from pcwlad_geo.correction.error_statistics import (
     Reversal,
     Sensitivity,
     TrialEntry,
-    float_pair,
 )
-from pcwlad_geo.correction.models import affine_between
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.arrays import Raster, Scratch
@@ -170,11 +170,10 @@ def _trial(part: _TestPart, baseline: Registration, name: Difficulty, level: flo
     if registration is None:
         return TrialEntry(level, "refused", 0, None)
     table, before = _accepted(registration), _accepted(baseline)
-    matrix = affine_between(before.reference_px, before.target_px)
+    transform = AffineTransform.fit(before.reference_px, before.target_px)
 
     def off_px(reference_px: Float64, target_px: Float64) -> float:
-        expected_px = reference_px @ matrix[:, :2].T + matrix[:, 2]
-        return float(np.median(np.linalg.norm(target_px - expected_px, axis=1)))
+        return float(np.median(np.linalg.norm(target_px - transform(reference_px), axis=1)))
 
     error = off_px(table.reference_px, move.source(table.target_px, centre))
     correct = error <= part.false_match_px + off_px(before.reference_px, before.target_px)

@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pcwlad_geo.correction import Effort
-from pcwlad_geo.correction.error_statistics import (
-    FloatPair,
-    Move,
-)
+from pcwlad_geo.correction.error_statistics import FloatPair
+from pcwlad_geo.correction.proof_result import Move
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import MatchSettings, Scales
 from pcwlad_geo.matching.noise import noise_level

@@ -7,12 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import (
-    EvidenceEntry,
-    EvidenceKind,
-    UnobservableError,
-    float_pair,
-)
+from pcwlad_geo.correction.error_statistics import float_pair
+from pcwlad_geo.correction.proof_result import EvidenceEntry, EvidenceKind, UnobservableError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.matching import FieldGuide, TiePoints, rematch_with
 from pcwlad_geo.matching.prepare import ChannelPair

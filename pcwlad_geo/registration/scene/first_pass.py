@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pcwlad_geo.correction.selection import COMMON_SIGMA
+from pcwlad_geo.correction.selection import SELECTION
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import JobLog
 from pcwlad_geo.matching import Candidates, TiePoints
@@ -52,10 +52,10 @@ class FirstPass:
     def tones_variance_px2(self) -> float:
         """Variance, per axis, that matches have because they are of grey values; 0 if they are not.
 
-        A correction takes `COMMON_SIGMA` of their sigma for the error that all of them share.
+        A correction takes `SELECTION.common_sigma` of their sigma for the error that all of them share.
         """
         by_tones = self.jobs[0].reference_scene.tones is not None
-        return (self.grey_error_px / COMMON_SIGMA) ** 2 if by_tones else 0.0
+        return (self.grey_error_px / SELECTION.common_sigma) ** 2 if by_tones else 0.0
 
     def without(self, recovered: Index) -> FirstPass:
         """Return the pass without the (k,) lost candidates that were `recovered` later."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
+from pcwlad_geo.estimation.transforms import AffineTransform, ProjectiveTransform
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.guidance import GUIDANCE
 from pcwlad_geo.matching.pose.distances import mean_distance_px
@@ -64,8 +64,7 @@ def pose_from_points(
     It is a homography if both are frames, the points are many, and it fits them better than an affine pose.
     """
     reference_px, target_px = points.reference_xy_px, points.target_xy_px
-    matrix = np.eye(3)
-    matrix[:2] = affine_between(reference_px, target_px)
+    matrix = AffineTransform.fit(reference_px, target_px).matrix
     if not frames or len(points) < GUIDANCE.least_points:
         return matrix
     middle = np.eye(3)
@@ -74,9 +73,9 @@ def pose_from_points(
     if homography is None:
         return matrix
     homography = homography @ inverse(middle)
-    models_px = [ProjectiveCorrection("", model).forward(reference_px) for model in (matrix, homography)]
+    models_px = [ProjectiveTransform(model)(reference_px) for model in (matrix, homography)]
     error_px2 = [((target_px - model_px) ** 2).mean() for model_px in models_px]
-    nearest = AffineCorrection("", affine_between(reference_px, models_px[1])).forward(reference_px)
+    nearest = AffineTransform.fit(reference_px, models_px[1])(reference_px)
     perspective_px = np.linalg.norm(models_px[1] - nearest, axis=1).max()
     better = error_px2[1] < parameters.homography_error_ratio * error_px2[0]
     return homography if better and perspective_px > parameters.perspective_px else matrix

@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 from affine import Affine
 
-from pcwlad_geo.correction.models import ProjectiveCorrection, affine_between
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
-from pcwlad_geo.estimation.transforms import affine_matrix, mapped
+from pcwlad_geo.estimation.transforms import AffineTransform, ProjectiveTransform, affine_matrix
 from pcwlad_geo.raster.grid import Grid, TiltedGrid, map_px
 from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
 from pcwlad_geo.raster.rpc.grid import RpcGrid
@@ -51,8 +50,8 @@ def _posed_grid(grid: Grid, pair: ViewPair, matrix: Float64, plane: TiltedGrid |
     """Return a grid of the target moved by a pose, in the CRS of the reference, maybe on a tilted plane."""
     places = grid.lattice_px(9)
     xy = _posed_xy(places, grid, pair, matrix)
-    affine = affine_between(places, xy if plane is None else plane.to_px(xy))
-    transform = Affine(*affine.ravel().tolist())
+    affine = AffineTransform.fit(places, xy if plane is None else plane.to_px(xy))
+    transform = Affine(*affine.rows.ravel().tolist())
     if plane is not None:
         return replace(plane, shape=grid.shape, transform=transform)
     return Grid(grid.shape, transform, pair.reference.info.grid.crs)
@@ -78,12 +77,8 @@ def _posed_xy(places: Float64, grid: Grid, pair: ViewPair, matrix: Float64) -> F
     Raises `InputError` where there are none.
     """
     target_px = map_px(places, grid, pair.target.grid)
-    to_reference = inverse(matrix)
-    if matrix[2, :2].any():
-        view_px = ProjectiveCorrection("", to_reference).forward(target_px)
-    else:
-        view_px = mapped(to_reference, target_px)
-    reference_px = pair.reference.to_file_px(view_px)
+    to_reference = (ProjectiveTransform if matrix[2, :2].any() else AffineTransform)(inverse(matrix))
+    reference_px = pair.reference.to_file_px(to_reference(target_px))
     if not np.isfinite(reference_px).all():
         raise InputError("the pose places the target where the CRS of the reference is not defined")
     return pair.reference.info.grid.to_xy(reference_px)
