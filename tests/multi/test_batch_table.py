@@ -10,7 +10,7 @@ import pytest
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.batch import table as batch_table
-from pcwlad_geo.multi.batch.table import COLUMNS, BatchPair, read_pairs
+from pcwlad_geo.multi.batch.table import PAIR_COLUMNS, BatchPair, read_pairs
 
 
 def read(folder: Path, text: str, **options: Any) -> list[BatchPair]:
@@ -141,8 +141,8 @@ def test_files_that_are_no_table(tmp_path: Path) -> None:
 
 
 def test_every_option_of_a_pair_is_a_column() -> None:
-    assert {"reference", "target", "out_dir", "window", "ref_mask", "output_raster"} <= set(COLUMNS)
-    assert not {"jobs", "scheduler"} & set(COLUMNS)
+    assert {"reference", "target", "out_dir", "window", "ref_mask", "output_raster"} <= set(PAIR_COLUMNS)
+    assert not {"jobs", "scheduler"} & set(PAIR_COLUMNS)
 
 
 @pytest.mark.parametrize("column", ["out_dir", "output_raster", "output_tiepoints", "output_report"])

@@ -19,7 +19,7 @@ from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import read_text
 from pcwlad_geo.types import PathLike
 
-COLUMNS: Final = (
+PAIR_COLUMNS: Final = (
     "reference",
     "target",
     "out_dir",
@@ -52,7 +52,7 @@ class BatchPair:
 def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -> list[BatchPair]:
     """Read and check the whole table before any work is done.
 
-    It is CSV with a header: `reference` and `target`, and any of the other `COLUMNS`. An empty cell means the
+    It is CSV with a header: `reference` and `target`, and any of the other `PAIR_COLUMNS`. An empty cell means the
     field of `options`, or the default. Relative paths refer to the folder of the table; outputs must be below
     it, or `out_dir`, where pairs without a folder get ``<target stem>_registered``, with a number if that
     name is taken. Raises `InputError` if the table cannot be read, a column is unknown, a value is invalid,
@@ -117,8 +117,8 @@ def _columns(path: Path, header: list[str]) -> list[str]:
             )
         if name in RUNNING:
             raise InputError(f"{path}: '{name}' is the same for all pairs: give it to batch, not in a column")
-        if name not in COLUMNS:
-            raise InputError(f"{path} has unknown column '{name}'; the columns are {', '.join(COLUMNS)}")
+        if name not in PAIR_COLUMNS:
+            raise InputError(f"{path} has unknown column '{name}'; the columns are {', '.join(PAIR_COLUMNS)}")
         if columns.count(name) > 1:
             raise InputError(f"{path} has column '{name}' twice")
     for name in ("reference", "target"):

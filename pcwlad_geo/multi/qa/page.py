@@ -35,7 +35,7 @@ class QaLayout:
     """Length of the longest arrow in the matrix: half the side of its box, less the arrow head, CSS px."""
 
 
-LAYOUT: Final = QaLayout()
+QA_LAYOUT: Final = QaLayout()
 """The layout in use."""
 
 
@@ -63,7 +63,7 @@ class DisplacementMap:
 
 
 def displacement_maps(
-    pairs: Sequence[Mapping[str, Any]], shapes: Mapping[str, Sequence[int]], layout: QaLayout = LAYOUT
+    pairs: Sequence[Mapping[str, Any]], shapes: Mapping[str, Sequence[int]], layout: QaLayout = QA_LAYOUT
 ) -> list[DisplacementMap]:
     """Return the maps of the measured pairs of a summary, by decreasing CE90; `shapes` are (rows, cols)."""
     measured = [pair for pair in pairs if pair["local"]]
@@ -114,7 +114,7 @@ class Cell:
     """Direction of the arrow."""
 
 
-def qa_page(summary: Summary, layout: QaLayout = LAYOUT) -> str:
+def qa_page(summary: Summary, layout: QaLayout = QA_LAYOUT) -> str:
     """Return the text of `qa.html`.
 
     The `summary` is the result of `summarise`.

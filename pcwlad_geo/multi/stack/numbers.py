@@ -27,7 +27,7 @@ TABLE: Final = "stack.csv"
 """File name of the table of images."""
 PAGE: Final = "stack.html"
 """File name of the page."""
-COLUMNS: Final = (
+STACK_COLUMNS: Final = (
     *("name", "path", "date", "shift_col_px", "shift_row_px", "sigma_col_px", "sigma_row_px"),
     *("sigma_x_m", "sigma_y_m", "pairs", "misfit_sigmas", "group", "registered", "quality"),
 )
@@ -139,7 +139,7 @@ def _table(result: Stack) -> str:
         figures = [value and round(value, 6) for value in (*image.shift_px, *image.sigma_px, *metres)]
         row = [image.name, image.path, image.date, *figures, image.pairs, round(image.misfit_sigmas, 3)]
         row += [image.group, None if image.refused else image.registered.name, image.quality.grade]
-        rows.append(dict(zip(COLUMNS, row, strict=True)))
+        rows.append(dict(zip(STACK_COLUMNS, row, strict=True)))
     return csv_of(rows)
 
 

@@ -54,7 +54,7 @@ class StackLayout:
     """Number of images that the verdict names with what speaks against them."""
 
 
-LAYOUT: Final = StackLayout()
+STACK_LAYOUT: Final = StackLayout()
 """The layout in use."""
 
 
@@ -92,7 +92,7 @@ def _report_of(pair: StackPair) -> str:
     return numbers if without_page else page
 
 
-def stack_page(result: Stack, frame: StackFrame | None = None, layout: StackLayout = LAYOUT) -> str:
+def stack_page(result: Stack, frame: StackFrame | None = None, layout: StackLayout = STACK_LAYOUT) -> str:
     """Return the page, which holds everything that it shows; pictures only with the images of a frame."""
     nodes = _ring([image.name for image in result.images], layout)
     at = {node.name: node for node in nodes}

@@ -20,7 +20,7 @@ from pcwlad_geo.text import csv_of
 
 NAMES: Final = {"numbers": "watch.json", "table": "watch.csv", "report": "watch.html", "motion": "motion.tif"}
 """File names of the outputs by kind."""
-COLUMNS: Final = (
+WATCH_COLUMNS: Final = (
     *("name", "series", "date", "shift_col_px", "shift_row_px", "sigma_px"),
     *("expected_col_px", "expected_row_px", "outlier"),
 )
@@ -117,4 +117,4 @@ def _rows(result: WatchNumbers) -> Iterator[dict[str, object]]:
         for image in series.images:
             numbers = [round(value, 6) for value in (*image.shift_px, image.sigma_px, *image.expected_px)]
             row = [image.name, series.name, image.date, *numbers, image.outlier]
-            yield dict(zip(COLUMNS, row, strict=True))
+            yield dict(zip(WATCH_COLUMNS, row, strict=True))

@@ -21,9 +21,9 @@ from pcwlad_geo.report.content import Report
 from pcwlad_geo.text import csv_of, mismatch, read_json
 from pcwlad_geo.types import PathLike
 
-NAMES: Final = {"numbers": "trend.json", "table": "trend.csv", "report": "trend.html"}
+TREND_FILES: Final = {"numbers": "trend.json", "table": "trend.csv", "report": "trend.html"}
 """File names of the outputs in OUT_DIR."""
-COLUMNS: Final = (
+TREND_COLUMNS: Final = (
     *("series", "kind", "date", "dated_by", "report"),
     *("n", "mean_col_px", "mean_row_px", "ce90_px", "passed"),
 )
@@ -176,8 +176,8 @@ def _write(
 ) -> Trend:
     from pcwlad_geo.report.content import to_json, versions
 
-    with OutputFolder(out_dir, overwrite=overwrite, results=NAMES["numbers"]) as folder:
-        paths = {kind: folder.final_path(name) for kind, name in NAMES.items()}
+    with OutputFolder(out_dir, overwrite=overwrite, results=TREND_FILES["numbers"]) as folder:
+        paths = {kind: folder.final_path(name) for kind, name in TREND_FILES.items()}
         result = Trend(top, reports, series, tuple(skipped), paths)
         numbers = {
             "schema_version": 1,
@@ -187,11 +187,11 @@ def _write(
             "skipped": list(skipped),
             "series": series,
             "versions": versions(),
-            "outputs": sorted(NAMES.values()),
+            "outputs": sorted(TREND_FILES.values()),
         }
         texts = {"table": _table(series), "report": render(result), "numbers": to_json(numbers)}
         with folder.writing():
-            write_texts(folder, NAMES, texts)
+            write_texts(folder, TREND_FILES, texts)
         folder.commit()
     return result
 
@@ -212,4 +212,4 @@ def _table(series: Sequence[PairSeries]) -> str:
         for pair_series in series
         for at in pair_series.moments
     ]
-    return csv_of([dict(zip(COLUMNS, row, strict=True)) for row in rows])
+    return csv_of([dict(zip(TREND_COLUMNS, row, strict=True)) for row in rows])

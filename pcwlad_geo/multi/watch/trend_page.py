@@ -25,7 +25,7 @@ class TrendLayout:
     """Factor by which the latest CE90 must exceed the median of those before to be marked."""
 
 
-LAYOUT: Final = TrendLayout()
+TREND_LAYOUT: Final = TrendLayout()
 """The layout in use."""
 
 
@@ -112,7 +112,7 @@ class Chart:
         )
 
 
-def render(result: Trend, layout: TrendLayout = LAYOUT) -> str:
+def render(result: Trend, layout: TrendLayout = TREND_LAYOUT) -> str:
     """Return the text of `trend.html`."""
     left_px, right_px, top_px, bottom_px = layout.margins_px
     right_px, bottom_px = layout.width_px - right_px, layout.height_px - bottom_px
@@ -152,7 +152,7 @@ def nice_ticks(low: float, high: float) -> list[float]:
     return [round(number * step, 6) for number in range(first, last + 1)]
 
 
-def has_risen(values: Sequence[float], factor: float = LAYOUT.risen_factor) -> bool:
+def has_risen(values: Sequence[float], factor: float = TREND_LAYOUT.risen_factor) -> bool:
     """Whether the last value is above all before it, and `factor` times above their median."""
     if len(values) < 4:
         return False
