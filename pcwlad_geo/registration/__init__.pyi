@@ -5,7 +5,18 @@ from .matching import match_pair
 from .motions import Motion
 from .opening import prepare_pair
 from .point_file import Origin
-from .quality import FAIR_PX, GOOD_PX, GRADES, Grade, Quality, QualityParameters, Reason
+from .quality import (
+    FAIR_PX,
+    GOOD_PX,
+    GRADES,
+    Grade,
+    Quality,
+    QualityParameters,
+    Reason,
+    grade_of,
+    grade_of_error,
+    worst_first,
+)
 from .result import Matches, Pair, PairGeometry, Registration, RegistrationStatus
 from .rpc import CorrectedRpc, RpcRegistration
 from .run import conclude, prove_pair, register_pair
@@ -38,10 +49,13 @@ __all__ = [
     "conclude",
     "estimate_tile_count",
     "fit_pair",
+    "grade_of",
+    "grade_of_error",
     "match_pair",
     "prepare_pair",
     "prove_pair",
     "register_pair",
     "requested_grid",
     "resolve",
+    "worst_first",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -66,6 +66,21 @@ class Reason:
     """A sentence with the figure."""
 
 
+def grade_of_error(error_px: float) -> Grade:
+    """Return the grade of what lies within an error (CE90), px."""
+    return "good" if error_px <= GOOD_PX else "fair" if error_px <= FAIR_PX else "poor"
+
+
+def worst_first(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
+    """Return reasons in the order of their grades, the worst first."""
+    return tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
+
+
+def grade_of(reasons: Iterable[Reason]) -> Grade:
+    """Return the worst grade of reasons; good without any."""
+    return min((reason.grade for reason in reasons), key=GRADES.index, default="good")
+
+
 @dataclass(frozen=True, slots=True)
 class Quality:
     """The quality of a registration."""
@@ -87,8 +102,8 @@ class Quality:
 
     def at_most(self, grade: Grade, text: str) -> Quality:
         """Return the quality with one more reason why it is not good."""
-        reasons = sorted((*self.reasons, Reason(grade, text)), key=lambda reason: GRADES.index(reason.grade))
-        return replace(self, grade=reasons[0].grade, reasons=tuple(reasons))
+        reasons = worst_first((*self.reasons, Reason(grade, text)))
+        return replace(self, grade=grade_of(reasons), reasons=reasons)
 
     @property
     def refusal(self) -> str | None:
@@ -191,12 +206,11 @@ def assess(
         *displaced_otherwise(residual_px[~consistent], len(matches), parameters=parameters),
         *_extrapolation(extrapolated, parameters),
     )
-    worst_first = tuple(sorted(reasons, key=lambda reason: GRADES.index(reason.grade)))
-    grade: Grade = worst_first[0].grade if worst_first else "good"
     whole = None
     if whole_px is not None:
         whole = expected(whole_px), float(selection.extrapolated(whole_px).mean())
-    return Quality(grade, worst_first, expected_px, extrapolated, float(consistent.mean()), whole)
+    kept_share = float(consistent.mean())
+    return Quality(grade_of(reasons), worst_first(reasons), expected_px, extrapolated, kept_share, whole)
 
 
 def shared_residual_px(
@@ -271,7 +285,7 @@ def _inaccurate(expected_px: float, model: str, jitter_px: float) -> Iterator[Re
         if jitter_px > expected_px / SIGMA_90:
             cause = f"rows or columns move by {jitter_px:.2f} px (RMS) within a matching window (jitter)"
         yield Reason(
-            "fair" if expected_px <= FAIR_PX else "poor",
+            grade_of_error(expected_px),
             f"a tenth of the common ground is expected to lie more than {expected_px:.1f} px off after the "
             f"{model} correction: {cause}",
         )

@@ -11,13 +11,13 @@ from typing import Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.registration import FAIR_PX, GOOD_PX, Grade, QualityParameters
+from pcwlad_geo.registration import FAIR_PX, GOOD_PX, Grade, QualityParameters, grade_of_error
 from pcwlad_geo.rigs.capture_raster import CaptureTask, write_capture
 from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
 from pcwlad_geo.rigs.inspection import BadCaptureError, check_sharpness, measure_sharpness, panel_shown
 from pcwlad_geo.rigs.parameters import CAPTURE
 from pcwlad_geo.rigs.placing import Placement, place, reduction_of, refined
-from pcwlad_geo.rigs.rig import Rig, grade_of
+from pcwlad_geo.rigs.rig import Rig
 from pcwlad_geo.types import Float32
 
 CaptureStatus = Literal["corrected", "rejected", "unusable", "failed"]
@@ -84,7 +84,7 @@ def correct_capture(task: CaptureTask) -> CaptureOutcome:
         inverse_depth=inverse_depth,
         distance_m=None if task.rig.distance_m is None else task.rig.distance_m / inverse_depth,
         sigma_px=placement.sigma_px,
-        quality=grade_of(placement.expected_ce90_px),
+        quality=grade_of_error(placement.expected_ce90_px),
         expected_ce90_px=placement.expected_ce90_px,
         seconds=time.perf_counter() - begun,
     )

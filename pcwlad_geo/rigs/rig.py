@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.registration import FAIR_PX, GOOD_PX, Grade
+from pcwlad_geo.registration import Grade, grade_of_error
 from pcwlad_geo.rigs.inspection import Sharpness
 from pcwlad_geo.rigs.lens import LENS_PARAMETERS, Lens, lattice
 from pcwlad_geo.rigs.parameters import CAPTURE
@@ -109,7 +109,7 @@ class Rig:
     @property
     def quality(self) -> Grade | None:
         """Grade of the error expected of the captures learned from, as that of a registration."""
-        return None if self.expected_ce90_px is None else grade_of(self.expected_ce90_px)
+        return None if self.expected_ce90_px is None else grade_of_error(self.expected_ce90_px)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -203,11 +203,6 @@ class Rig:
             raise InputError(
                 f"{path} is no rig of pcwlad-geo ({str(error)[:80]}): make one with pcwlad-geo rig learn"
             ) from error
-
-
-def grade_of(expected_ce90_px: float) -> Grade:
-    """Return the grade of a capture, or of a rig, by its expected error."""
-    return "good" if expected_ce90_px <= GOOD_PX else "fair" if expected_ce90_px <= FAIR_PX else "poor"
 
 
 def _lens_json(lens: RigLens) -> dict[str, Any]:

@@ -52,11 +52,11 @@ class BatchPair:
 def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -> list[BatchPair]:
     """Read and check the whole table before any work is done.
 
-    It is CSV with a header: `reference` and `target`, and any of the other `PAIR_COLUMNS`. An empty cell means the
-    field of `options`, or the default. Relative paths refer to the folder of the table; outputs must be below
-    it, or `out_dir`, where pairs without a folder get ``<target stem>_registered``, with a number if that
-    name is taken. Raises `InputError` if the table cannot be read, a column is unknown, a value is invalid,
-    two pairs have the same `out_dir`, an output is elsewhere, or there is no pair.
+    It is CSV with a header: `reference` and `target`, and any of the other `PAIR_COLUMNS`. An empty cell
+    means the field of `options`, or the default. Relative paths refer to the folder of the table; outputs
+    must be below it, or `out_dir`, where pairs without a folder get ``<target stem>_registered``, with a
+    number if that name is taken. Raises `InputError` if the table cannot be read, a column is unknown, a
+    value is invalid, two pairs have the same `out_dir`, an output is elsewhere, or there is no pair.
     """
     path = Path(table)
     rows = list(islice(_rows(path), BATCH_ROWS + 1))

@@ -17,7 +17,7 @@ from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.multi.stack.bases import basis_over
 from pcwlad_geo.multi.stack.edges import Edge
 from pcwlad_geo.multi.stack.parameters import GRADING, GradeParameters
-from pcwlad_geo.registration import FAIR_PX, GOOD_PX, GRADES, Grade, Motion
+from pcwlad_geo.registration import GOOD_PX, Grade, Motion, Reason, grade_of, grade_of_error
 from pcwlad_geo.registration.motions import describe_motions
 from pcwlad_geo.registration.quality import displaced_otherwise
 from pcwlad_geo.text import joined
@@ -84,7 +84,7 @@ def graded(
     edge: Edge,
     points: PointFile,
     report: Mapping[str, Any],
-    doubts: Sequence[tuple[Grade, str]] = (),
+    doubts: Sequence[Reason] = (),
     parameters: GradeParameters = GRADING,
 ) -> StackPair:
     """Return a pair with the grade that its points, its report and other `doubts` give it."""
@@ -92,19 +92,17 @@ def graded(
     off_px, counts = float(np.percentile(np.hypot(*residual_px.T), 90)), report.get("tie_points", {})
     jitter_px = float(report.get("jitter_px", 0.0))
     agreeing = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
-    reasons: list[tuple[Grade, str]] = [*doubts]
+    reasons = [*doubts]
     if pair.motions:
-        reasons.append(("fair", describe_motions(pair.motions, accepted=True)))
+        reasons.append(Reason("fair", describe_motions(pair.motions, accepted=True)))
     if off_px > GOOD_PX:
         text = f"a tenth of its points lie more than {off_px:.2f} px off a smooth displacement"
-        reasons.append(("fair" if off_px <= FAIR_PX else "poor", text))
+        reasons.append(Reason(grade_of_error(off_px), text))
     if agreeing < parameters.quality.poor_kept_share:
-        reasons.append(("poor", f"only {100 * agreeing:.0f} % of the matches agree with their neighbours"))
+        text = f"only {100 * agreeing:.0f} % of the matches agree with their neighbours"
+        reasons.append(Reason("poor", text))
     rejected_px = _smooth_residuals(points.reference, points.target, points.enabled)[~points.enabled]
-    otherwise = displaced_otherwise(rejected_px, len(points.enabled))
-    reasons += [(reason.grade, reason.text) for reason in otherwise]
-    grade: Grade = min((grade for grade, _ in reasons), key=GRADES.index, default="good")
-    texts = tuple(text for _, text in reasons)
+    reasons += displaced_otherwise(rejected_px, len(points.enabled))
     values = report.get("proof")
     values = {**values, "map": ()} if isinstance(values, dict) else values
     proof = _validated(Proof, values, pair.folder) if values else None
@@ -112,8 +110,8 @@ def graded(
     empty_share = None if share is None else float(share)
     return replace(
         pair,
-        quality=grade,
-        quality_reasons=texts,
+        quality=grade_of(reasons),
+        quality_reasons=tuple(reason.text for reason in reasons),
         jitter_px=jitter_px,
         empty_share=empty_share,
         proof=proof,

@@ -25,7 +25,7 @@ from pcwlad_geo.options import SETTINGS, Settings
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.raster.grid import middle_pixel_size_m
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.registration import Motion, estimate_tile_count
+from pcwlad_geo.registration import Motion, Reason, estimate_tile_count
 from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
 from pcwlad_geo.registration.positions import position_conflict
 from pcwlad_geo.report.finished import NUMBERS, read_report, report_of_same_job
@@ -35,7 +35,8 @@ from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Float64
 
 if TYPE_CHECKING:
-    from pcwlad_geo.registration import Registration
+    from pcwlad_geo.registration import Reason
+from pcwlad_geo.registration import Registration
 
 PAIRS: Final = "pairs"
 """Folder of the pairs that were measured."""
@@ -128,7 +129,7 @@ def measured_pair(
     conflict = None if frame.georeferenced else position_conflict(*infos, edge.first_xy, edge.second_xy)
     texts = [text for text in report.get("warnings", ()) if text.startswith(SAME_PIXELS)]
     texts += [] if conflict is None else [conflict.text]
-    result = graded(result, edge, points, report, [("poor", text) for text in texts])
+    result = graded(result, edge, points, report, [Reason("poor", text) for text in texts])
     if not any(isinstance(info.grid, RpcGrid) for info in infos):
         return MeasuredPair(result, edge)
     return MeasuredPair(result, edge, points, float(report["window_px"]))

@@ -15,7 +15,16 @@ from pcwlad_geo.correction.expected_error import Residuals, local_residuals
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.multi.stack.pair import StackPair
 from pcwlad_geo.multi.stack.parameters import GRADING, GradeParameters
-from pcwlad_geo.registration import FAIR_PX, GOOD_PX, GRADES, QualityParameters, Reason
+from pcwlad_geo.registration import (
+    FAIR_PX,
+    GOOD_PX,
+    GRADES,
+    QualityParameters,
+    Reason,
+    grade_of,
+    grade_of_error,
+    worst_first,
+)
 from pcwlad_geo.types import Float64
 
 GRADES_OF_IMAGES: Final = ("refused", *GRADES)
@@ -118,10 +127,10 @@ def image_qualities(
         expected, reasons = _judged(
             about, sigma, unit_px[name], share, jitter_px[name], heights_px.get(name, 0.0), parameters
         )
-        reasons.sort(key=lambda reason: GRADES.index(reason.grade))
-        grade = "refused" if name in refused else reasons[0].grade if reasons else "good"
+        grade = "refused" if name in refused else grade_of(reasons)
         texts = [refused[name]] if name in refused else []
-        qualities[name] = StackQuality(grade, (*texts, *(reason.text for reason in reasons)), expected)
+        texts += [reason.text for reason in worst_first(reasons)]
+        qualities[name] = StackQuality(grade, tuple(texts), expected)
     return qualities
 
 
@@ -191,17 +200,14 @@ def _judged(
             f"{size:.2f} px by {cause}" for cause, size in causes.items() if size >= parameters.min_cause_px
         )
         text = f"a tenth of it is expected to lie more than {expected:.2f} px off: {parts}"
-        reasons.append(Reason("fair" if expected <= FAIR_PX else "poor", text))
+        reasons.append(Reason(grade_of_error(expected), text))
     limit = FAIR_PX if off[FAIR_PX] > parameters.contradicted_share else GOOD_PX
     if off[limit] >= parameters.contradicted_share:
         text = f"{100 * off[limit]:.0f} % of its pairs lie more than {limit:g} px off its place"
         reasons.append(Reason("poor" if limit == FAIR_PX else "fair", text))
     if not any((pair.redundancy or 0.0) >= parameters.min_redundancy for pair in in_use):
         reasons.append(Reason("fair", "no other pair checks those that place it"))
-    graded = sorted(
-        (_own_grade(pair, parameters.quality) for pair in in_use),
-        key=lambda pair_reason: GRADES.index(pair_reason.grade),
-    )
+    graded = worst_first(_own_grade(pair, parameters.quality) for pair in in_use)
     middle = graded[len(graded) // 2] if graded else Reason("good", "")
     if middle.grade != "good":
         share = sum(pair_reason.grade != "good" for pair_reason in graded)
