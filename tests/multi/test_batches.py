@@ -192,7 +192,7 @@ def test_what_workers_leave_is_swept_where_the_batch_ends_first(
         left.mkdir(parents=True)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(batch_run, "_do_part", stop)
+    monkeypatch.setattr(batch_run, "_register_part", stop)
     with pytest.raises(KeyboardInterrupt):
         pcwlad_geo.batch("pairs.csv", out_dir="out", **OPTIONS)
     assert not left.exists()
@@ -246,7 +246,7 @@ def test_every_kind_of_trouble_stays_with_its_pair(calls: list[str], work: Path)
 def test_a_warning_has_the_name_of_its_pair_once(calls: list[str], work: Path) -> None:
     events: list[Event] = []
     pairs = read_pairs(table(work, "bad", "strange"), work / "out", {})
-    batch_run._do_part(pairs, False, batch_run._PairEvents(events.append), InThisProcess())
+    batch_run._register_part(pairs, False, batch_run._PairEvents(events.append), InThisProcess())
     assert calls == ["bad", "strange"]
     told = [event.message for event in events if isinstance(event, Warned)]
     assert told == ["bad.tif (line 2): odd", "strange.tif (line 3): odd"]

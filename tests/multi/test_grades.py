@@ -22,7 +22,7 @@ from pcwlad_geo.multi.stack.pairs import MeasuredPair, measured_pair
 from pcwlad_geo.multi.stack.positions import stack_of
 from pcwlad_geo.multi.stack.quality import StackQuality, image_qualities, residual_ce90
 from pcwlad_geo.multi.stack.result import Stack
-from pcwlad_geo.multi.stack.verdict import graded, judge_stack
+from pcwlad_geo.multi.stack.verdict import grade_images, judge_stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.requirements import parse_requirements
@@ -221,7 +221,7 @@ def simulated(seed: int, wrong: dict[tuple[int, int], tuple[float, float]]) -> t
         float(np.percentile(np.hypot(*(found.displacement(k, GRID) - truth.displacement(k, GRID)).T), 90))
         for k in range(5)
     ]
-    return graded(result), off
+    return grade_images(result), off
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter
 
 from pcwlad_geo.multi.qa.band_pairs import PairResult
 from pcwlad_geo.multi.qa.bands import Band
-from pcwlad_geo.multi.qa.closure import TriangleSide, close, close_triangles, standard_error
+from pcwlad_geo.multi.qa.closure import TriangleSide, close_triangle, close_triangles, standard_error
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid, apply, apply_inverse
 from tests.multi.measured_bands import UTM, make_band, make_mapped_pair, make_pair, refused
@@ -93,7 +93,7 @@ def test_by_hand() -> None:
     def of(first: float, second: float) -> TriangleSide:
         return side(*((col, row, first if col < 100 else second, 0.0) for col, row in places))
 
-    found = close(NAMES, (of(1.0, 2.0), of(0.5, 0.5), of(1.4, 2.2)), 100.0, (30.0, 20.0))
+    found = close_triangle(NAMES, (of(1.0, 2.0), of(0.5, 0.5), of(1.4, 2.2)), 100.0, (30.0, 20.0))
     assert found.cells == 2
     assert found.mean_px == pytest.approx((0.2, 0.0))
     assert found.error_px == pytest.approx((0.1, 0.0))  # standard deviation 0.1·√2 over √2
@@ -109,7 +109,7 @@ def square(col: float, row: float, moved: float) -> list[tuple[float, float, flo
 def test_only_common_ground_counts() -> None:
     """A side with points elsewhere, displaced otherwise, does not spoil the closure."""
     here, there, still = square(5, 5, 0.2), square(505, 5, 9.0), square(5, 5, 0.0)
-    found = close(NAMES, (side(*here, *there), side(*still), side(*here)), 60.0)
+    found = close_triangle(NAMES, (side(*here, *there), side(*still), side(*here)), 60.0)
     assert found.cells == 1
     assert found.mean_px == pytest.approx((0.0, 0.0))
     assert found.error_px is None
@@ -121,14 +121,14 @@ def test_too_few_points_are_no_closure(points: int) -> None:
     full = side(*square(5, 5, 0.0))
     part = replace(full, points=full.points[:points])
     for sides in ((full, part, full), (part, full, full), (full, full, part)):
-        found = close(NAMES, sides, 60.0)
+        found = close_triangle(NAMES, sides, 60.0)
         assert (found.cells, found.mean_px, found.rms_px) == (0, None, None)
 
 
 def test_points_elsewhere_say_nothing_about_a_place() -> None:
     """B to C has points beside those of the others only: what they say is not carried over to there."""
     here, beside = side(*square(5, 5, 0.0)), side(*square(85, 5, 0.0))
-    assert close(NAMES, (here, beside, here), 60.0).cells == 0
+    assert close_triangle(NAMES, (here, beside, here), 60.0).cells == 0
 
 
 def test_triangles_of_bands_with_other_pixels_close_in_the_coarsest() -> None:

@@ -15,7 +15,7 @@ from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.multi.block.adjustment import BlockAdjustment, adjust_block
 from pcwlad_geo.multi.block.block import BlockPair, RpcBlock
 from pcwlad_geo.multi.block.dem_check import check_dem
-from pcwlad_geo.multi.stack.rpc_result import adjusted
+from pcwlad_geo.multi.stack.rpc_result import adjust_rpcs
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid, map_px
 from pcwlad_geo.raster.rpc.dem import Dem, Undulation
@@ -282,7 +282,7 @@ def test_a_small_block_does_not_bend_to_its_dem(
 def test_a_rough_dem_is_told_and_no_reason_for_a_drift(tmp_path: Path) -> None:
     true, given = small_views(tmp_path, 90.0, 12.0, 1)
     placed = SimpleNamespace(block=RpcBlock(tuple(given), ground_grid(given[0])), placements=[object()] * 2)
-    found, check = adjusted(placed, [seen_small(true, SMALL_BIASES)], Settings())  # type: ignore[arg-type]
+    found, check = adjust_rpcs(placed, [seen_small(true, SMALL_BIASES)], Settings())  # type: ignore[arg-type]
     assert found.model == "shift"
     assert check is not None
     assert len(check.faults) == 1
@@ -314,7 +314,7 @@ def test_corrections_that_do_harm_are_refused(tmp_path: Path) -> None:
         block=RpcBlock(tuple(displaced), ground_grid(given[0])), placements=[object()] * 2
     )
     with pytest.raises(RegistrationRejectedError, match=r"held out lie .* px apart .* beside"):
-        adjusted(placed, [pair], Settings())  # type: ignore[arg-type]
+        adjust_rpcs(placed, [pair], Settings())  # type: ignore[arg-type]
 
 
 def test_another_scale_of_heights_is_told(grids: tuple[RpcGrid, ...]) -> None:

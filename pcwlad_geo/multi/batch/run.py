@@ -22,7 +22,7 @@ from pcwlad_geo.errors import (
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import open_job_runner, register
-from pcwlad_geo.multi.batch.summary import SUMMARY, PairOutcome, check_summary, figures_of, kept_summary
+from pcwlad_geo.multi.batch.summary import SUMMARY, PairOutcome, check_summary, figures_of, summary_writer
 from pcwlad_geo.multi.batch.table import BatchPair, read_pairs
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
@@ -121,14 +121,14 @@ def batch(
     outcomes: list[PairOutcome] = []
     at_work: list[BatchPair] = []
     with (
-        kept_summary(folder / SUMMARY, outcomes, BATCH.summary_step) as keep,
+        summary_writer(folder / SUMMARY, outcomes, BATCH.summary_step) as keep,
         _swept_if_ended(at_work),
         open_job_runner(shared, executor, on_event) as runner,
     ):
         for part in _parts(todo, runner, BATCH.pairs_a_worker):
             events(Progress("pairs", len(outcomes), len(todo)))
             at_work[:] = part
-            new_outcomes = _do_part(part, overwrite, events.counted(len(outcomes), len(todo)), runner)
+            new_outcomes = _register_part(part, overwrite, events.counted(len(outcomes), len(todo)), runner)
             outcomes += new_outcomes
             keep()
             for outcome in new_outcomes:
@@ -192,7 +192,7 @@ def _parts(todo: Sequence[BatchPair], runner: Runner, pairs_a_worker: int) -> It
             yield part
 
 
-def _do_part(
+def _register_part(
     part: Sequence[BatchPair], overwrite: bool, events: _PairEvents, runner: Runner
 ) -> list[PairOutcome]:
     """Register one pair, or several at once in worker processes, but for those that were done before."""
@@ -200,16 +200,18 @@ def _do_part(
         before = [None if overwrite else _done_before(pair) for pair in part]
         unfinished = [pair for pair, outcome in zip(part, before, strict=True) if outcome is None]
         if len(unfinished) <= 1:
-            outcomes = iter([_do(pair, overwrite, events, runner) for pair in unfinished])
+            outcomes = iter([_register_pair(pair, overwrite, events, runner) for pair in unfinished])
         else:
-            results = runner.run_jobs(_do_whole, [(pair, overwrite) for pair in unfinished], "pairs", events)
+            results = runner.run_jobs(
+                _register_whole, [(pair, overwrite) for pair in unfinished], "pairs", events
+            )
             outcomes = iter(
-                [_told(result, pair, events) for result, pair in zip(results, unfinished, strict=True)]
+                [_reported(result, pair, events) for result, pair in zip(results, unfinished, strict=True)]
             )
     return [outcome or next(outcomes) for outcome in before]
 
 
-def _told(
+def _reported(
     result: tuple[PairOutcome, list[Warned]] | ExecutionError, pair: BatchPair, events: _PairEvents
 ) -> PairOutcome:
     """Send what a pair was warned of; return its outcome, also where its process was lost."""
@@ -223,10 +225,10 @@ def _told(
     return outcome
 
 
-def _do_whole(pair: BatchPair, overwrite: bool) -> tuple[PairOutcome, list[Warned]]:
+def _register_whole(pair: BatchPair, overwrite: bool) -> tuple[PairOutcome, list[Warned]]:
     """Register a pair in a worker process; return its outcome and what it was warned of."""
     events: list[Event] = []
-    outcome = _do(pair, overwrite, _PairEvents(events.append), InThisProcess())
+    outcome = _register_pair(pair, overwrite, _PairEvents(events.append), InThisProcess())
     return outcome, [event for event in events if isinstance(event, Warned)]
 
 
@@ -242,7 +244,7 @@ def _swept_if_ended(at_work: Sequence[BatchPair]) -> Iterator[None]:
         raise
 
 
-def _do(pair: BatchPair, overwrite: bool, events: _PairEvents, runner: Runner) -> PairOutcome:
+def _register_pair(pair: BatchPair, overwrite: bool, events: _PairEvents, runner: Runner) -> PairOutcome:
     options: dict[str, Any] = {field.name: getattr(pair.settings, field.name) for field in fields(Settings)}
     options |= pair.places
     try:

@@ -128,7 +128,7 @@ def write_summary(path: Path, outcomes: Sequence[PairOutcome]) -> None:
 
 
 @contextmanager
-def kept_summary(path: Path, outcomes: Sequence[PairOutcome], step: int) -> Iterator[Callable[[], None]]:
+def summary_writer(path: Path, outcomes: Sequence[PairOutcome], step: int) -> Iterator[Callable[[], None]]:
     """Yield a function that writes the summary where one of `step` outcomes is new, or one of the first.
 
     Writing all after each of many pairs that are unusable, and take no time, would take longer than they do.

@@ -109,7 +109,7 @@ class PairResult:
         return native_m(self.reference, self.target)
 
 
-def measured(reference: Band, target: Band, registration: Registration) -> PairResult:
+def pair_result(reference: Band, target: Band, registration: Registration) -> PairResult:
     """Return the result of a pair by its registration, which has the status ``matched`` or ``rejected``."""
     reference, target = (
         replace(reference, info=registration.reference),

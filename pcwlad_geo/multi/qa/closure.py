@@ -158,11 +158,11 @@ def close_triangles(
         if all(side in measured for side in sides):
             ab, bc, ac = (measured[side] for side in sides)
             names = a.name, b.name, c.name
-            triangles.append(close(names, (ab, bc, ac), window_px, c.px_m, parameters))
+            triangles.append(close_triangle(names, (ab, bc, ac), window_px, c.px_m, parameters))
     return triangles
 
 
-def close(
+def close_triangle(
     names: tuple[str, str, str],
     sides: tuple[TriangleSide, TriangleSide, TriangleSide],
     window_px: float,

@@ -20,7 +20,7 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_job_runner
-from pcwlad_geo.multi.qa.band_pairs import PairResult, measured
+from pcwlad_geo.multi.qa.band_pairs import PairResult, pair_result
 from pcwlad_geo.multi.qa.bands import Band, find_band, list_bands, parse_bands, split_bands, with_native_px
 from pcwlad_geo.multi.qa.closure import Triangle, close_triangles
 from pcwlad_geo.multi.qa.numbers import QaResult
@@ -270,7 +270,7 @@ def _match(
     except InputError as error:
         # of this pair only, such as no overlap: the others are measured nevertheless
         return PairResult(reference, target, "refused", joined(error))
-    result = measured(reference, target, registration)
+    result = pair_result(reference, target, registration)
     notes = dict.fromkeys((*reference.notes, *target.notes))
     return replace(result, warnings=(*notes, *result.warnings))
 

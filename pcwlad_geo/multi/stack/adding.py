@@ -23,7 +23,7 @@ from pcwlad_geo.multi.stack.job import job_of
 from pcwlad_geo.multi.stack.model_choice import choose_basis
 from pcwlad_geo.multi.stack.network import named
 from pcwlad_geo.multi.stack.numbers import NUMBERS, numbers_of
-from pcwlad_geo.multi.stack.outputs import check_places, write_registered, written
+from pcwlad_geo.multi.stack.outputs import check_places, write_registered, write_stack
 from pcwlad_geo.multi.stack.pair_choice import candidates, choose_pairs, overviews_of
 from pcwlad_geo.multi.stack.pairs import check_connected, edges_of, sigma_known
 from pcwlad_geo.multi.stack.positions import stack_of
@@ -118,7 +118,7 @@ def _with_added(
         refused = [
             run_names["name"] for run_names in before["images"] if run_names.get("registered", "") is None
         ]
-        return written(
+        return write_stack(
             job, out, result, frame, partial(write_registered, job, frame, {*new, *refused}), keep=True
         )
 

@@ -21,7 +21,7 @@ from pcwlad_geo.multi.stack.numbers import FILES, PAGE, write_numbers
 from pcwlad_geo.multi.stack.page import stack_page
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.multi.stack.rpc_outputs import rpc_names, warp_image
-from pcwlad_geo.multi.stack.verdict import graded, judge_stack
+from pcwlad_geo.multi.stack.verdict import grade_images, judge_stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.outputs.places import check_outputs
@@ -49,7 +49,7 @@ def check_places(job: StackJob, out: OutputFolder, frame: StackFrame, sources: S
         out.path(name)
 
 
-def written(
+def write_stack(
     job: StackJob,
     out: OutputFolder,
     result: Stack,
@@ -62,7 +62,7 @@ def written(
     Corrected images only of those that were not refused, where the requirements are met or they are kept
     anyway. Raises `RegistrationRejectedError` where none is left but those that stay.
     """
-    result = graded(result)
+    result = grade_images(result)
     doubtful = [image for image in result.images if image.quality.grade in ("refused", "poor")]
     doubts = [f"{image.name}: {image.quality.grade}: {image.quality.reasons[0]}" for image in doubtful]
     for message in doubts:

@@ -70,7 +70,7 @@ class StackPair:
         return math.hypot(*self.offset_px or (0.0, 0.0))
 
 
-def _validated(kind: type[T], value: object, place: Path) -> T:
+def validated(kind: type[T], value: object, place: Path) -> T:
     """Return a part of the report of a pair as a `kind`; raises `OutputError` if it is damaged."""
     try:
         return TypeAdapter(kind).validate_python(value)
@@ -79,7 +79,7 @@ def _validated(kind: type[T], value: object, place: Path) -> T:
         raise OutputError(message) from error
 
 
-def graded(
+def grade_pair(
     pair: StackPair,
     edge: Edge,
     points: PointFile,
@@ -105,7 +105,7 @@ def graded(
     reasons += displaced_otherwise(rejected_px, len(points.enabled))
     values = report.get("proof")
     values = {**values, "map": ()} if isinstance(values, dict) else values
-    proof = _validated(Proof, values, pair.folder) if values else None
+    proof = validated(Proof, values, pair.folder) if values else None
     share = report.get("coverage", {}).get("empty_share")
     empty_share = None if share is None else float(share)
     return replace(

@@ -19,7 +19,7 @@ from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.multi.stack.edges import Edge
 from pcwlad_geo.multi.stack.equations import ends_of
 from pcwlad_geo.multi.stack.frame import StackFrame
-from pcwlad_geo.multi.stack.pair import PairStatus, StackPair, _validated, graded
+from pcwlad_geo.multi.stack.pair import PairStatus, StackPair, grade_pair, validated
 from pcwlad_geo.multi.stack.parameters import PAIR, PairParameters
 from pcwlad_geo.options import SETTINGS, Settings
 from pcwlad_geo.products.finding import of_one_product
@@ -121,7 +121,7 @@ def measured_pair(
         reason = reason or f"fewer than {parameters.min_points} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
     status: PairStatus = "refused" if edge is None else "used"
-    motions = _validated(tuple[Motion, ...], report.get("motions", ()), place)
+    motions = validated(tuple[Motion, ...], report.get("motions", ()), place)
     result = StackPair(*names, status, reason, place, motions=motions)
     if edge is None or points is None:
         return MeasuredPair(result)
@@ -129,7 +129,7 @@ def measured_pair(
     conflict = None if frame.georeferenced else position_conflict(*infos, edge.first_xy, edge.second_xy)
     texts = [text for text in report.get("warnings", ()) if text.startswith(SAME_PIXELS)]
     texts += [] if conflict is None else [conflict.text]
-    result = graded(result, edge, points, report, [Reason("poor", text) for text in texts])
+    result = grade_pair(result, edge, points, report, [Reason("poor", text) for text in texts])
     if not any(isinstance(info.grid, RpcGrid) for info in infos):
         return MeasuredPair(result, edge)
     return MeasuredPair(result, edge, points, float(report["window_px"]))

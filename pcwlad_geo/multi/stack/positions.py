@@ -54,7 +54,7 @@ def stack_of(
             residual_px = edge.second_xy - adjustment.displacement(edge.second, ground) - ground
             fit = next(fits)
             pair = replace(
-                compared(pair, fit.in_use, fit.offset, warnings),
+                with_offset(pair, fit.in_use, fit.offset, warnings),
                 points=len(edge),
                 sigma_px=fit.sigma,
                 redundancy=fit.redundancy,
@@ -82,7 +82,9 @@ def stack_of(
     )
 
 
-def compared(pair: StackPair, in_use: bool, offset_px: tuple[float, float], warnings: list[str]) -> StackPair:
+def with_offset(
+    pair: StackPair, in_use: bool, offset_px: tuple[float, float], warnings: list[str]
+) -> StackPair:
     """Return a pair with its offset from the adjustment, px of the frame; one left out adds a warning."""
     pair = replace(pair, offset_px=offset_px)
     if in_use:
@@ -110,11 +112,11 @@ def _image(
         else _correction(at_px, observed_px, adjustment.basis)
     )
     frame_px, group = float(abs(np.linalg.det(scale)).mean() ** -0.5), int(adjustment.group[number])
-    values = placed_values(frame, number, observed_px - at_px, covariance, pairs_in_use, group)
+    values = position_values(frame, number, observed_px - at_px, covariance, pairs_in_use, group)
     return StackImage(**values, correction=correction, registered=registered, frame_px=frame_px)
 
 
-def placed_values(
+def position_values(
     frame: StackFrame,
     number: int,
     moved_px: Float64,

@@ -17,7 +17,7 @@ from pcwlad_geo.multi.stack.closure import closure_of
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.pair import StackPair
 from pcwlad_geo.multi.stack.pairs import MeasuredPair
-from pcwlad_geo.multi.stack.positions import NODES, compared, placed_values, raster_paths
+from pcwlad_geo.multi.stack.positions import NODES, position_values, raster_paths, with_offset
 from pcwlad_geo.multi.stack.quality import residual_ce90
 from pcwlad_geo.multi.stack.result import BlockNumbers, Chosen, ImageRpc, Misfit, Stack, StackImage
 from pcwlad_geo.multi.stack.rpc_images import PlacedImages
@@ -30,7 +30,7 @@ from pcwlad_geo.registration.rpc import corrected_rpc
 from pcwlad_geo.types import Bool, Float64
 
 
-def adjusted(
+def adjust_rpcs(
     images: PlacedImages, pairs: Sequence[BlockPair], settings: Settings
 ) -> tuple[BlockAdjustment, DemCheck | None]:
     """Adjust a block, and ask the tie points what they say of the DEM.
@@ -120,7 +120,7 @@ def _pair(
     scale = _to_frame(frame, frame.infos[points.second].grid)
     offset, size = scale @ np.array(fit.offset_px), float(np.sqrt(abs(np.linalg.det(scale))))
     return replace(
-        compared(pair, fit.in_use, (float(offset[0]), float(offset[1])), warnings),
+        with_offset(pair, fit.in_use, (float(offset[0]), float(offset[1])), warnings),
         points=len(points),
         sigma_px=fit.sigma_px * size,
         redundancy=fit.redundancy,
@@ -154,7 +154,7 @@ def _image(
             corrected.origin, corrected.bias_error_px, vrt, text, corrected.corrected_grid.rpc, corrected
         )
     return StackImage(
-        **placed_values(frame, number, correction.forward(at_px) - at_px, covariance, pairs_in_use, 0),
+        **position_values(frame, number, correction.forward(at_px) - at_px, covariance, pairs_in_use, 0),
         correction=correction,
         registered=registered,
         rpc=rpc,

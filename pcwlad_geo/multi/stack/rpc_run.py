@@ -10,13 +10,13 @@ from collections.abc import Sequence
 
 from pcwlad_geo.events import Warned
 from pcwlad_geo.multi.stack.job import StackJob, connected_edges
-from pcwlad_geo.multi.stack.outputs import check_places, written
+from pcwlad_geo.multi.stack.outputs import check_places, write_stack
 from pcwlad_geo.multi.stack.pair_choice import candidates, planned_pairs
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.multi.stack.rpc_images import PlacedImages, part_of_images, without_ground
 from pcwlad_geo.multi.stack.rpc_outputs import output_grid_of, write_images
 from pcwlad_geo.multi.stack.rpc_points import control_points_of, tie_points_of
-from pcwlad_geo.multi.stack.rpc_result import adjusted, block_stack, control_warnings
+from pcwlad_geo.multi.stack.rpc_result import adjust_rpcs, block_stack, control_warnings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.types import PathLike
 
@@ -45,10 +45,10 @@ def stack_of_rpcs(
     connected_edges(job, frame, plan, (), False)
     measured = job.measured(frame, plan)
     points = [*tie_points_of(measured), *control]
-    adjustment, check = adjusted(block, points, job.settings)
+    adjustment, check = adjust_rpcs(block, points, job.settings)
     for message in [*(check.faults if check else ()), *control_warnings(block, points, adjustment)]:
         job.tell(Warned(message))
     details = job.folder, job.settings, job.warnings, unreadable, choice_kind
     result = block_stack(block, measured, points, adjustment, check, *details)
     where = block, job.folder, job.settings, job.on_event
-    return written(job, out, result, frame, lambda result_so_far: write_images(result_so_far, *where))
+    return write_stack(job, out, result, frame, lambda result_so_far: write_images(result_so_far, *where))

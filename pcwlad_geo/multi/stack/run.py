@@ -29,7 +29,7 @@ from pcwlad_geo.multi.stack.job import StackJob, connected_edges, job_of
 from pcwlad_geo.multi.stack.model_choice import choose_basis
 from pcwlad_geo.multi.stack.network import named
 from pcwlad_geo.multi.stack.numbers import NUMBERS
-from pcwlad_geo.multi.stack.outputs import check_places, write_registered, written
+from pcwlad_geo.multi.stack.outputs import check_places, write_registered, write_stack
 from pcwlad_geo.multi.stack.pair_choice import (
     CHOICE,
     additional_pairs,
@@ -155,16 +155,16 @@ def stack(
                 first = adjust(edges, len(infos) + bool(control), datum=datum_image, split=allow_components)
                 plan += additional_pairs(frame, ranked, plan, edges, first)
             edges = connected_edges(job, frame, plan, control, allow_components)
-            adjustment = adjusted_images(job, frame, edges, datum_image, allow_components)
+            adjustment = adjust_images(job, frame, edges, datum_image, allow_components)
             measured = job.measured(frame, plan)
             result = stack_of(
                 frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, choice
             )
         result = replace(result, control=points)
-        return written(job, out, result, frame, partial(write_registered, job, frame, frame.names))
+        return write_stack(job, out, result, frame, partial(write_registered, job, frame, frame.names))
 
 
-def adjusted_images(
+def adjust_images(
     job: StackJob, frame: StackFrame, edges: Sequence[Edge], datum_image: int | None, split: bool
 ) -> Adjustment:
     """Adjust all images by their pairs, with the model that these ask for."""

@@ -13,7 +13,7 @@ from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.requirements import Figure, Requirement, RequirementResult, judge
 
 
-def graded(result: Stack) -> Stack:
+def grade_images(result: Stack) -> Stack:
     """Grade the images of a stack by their pairs."""
     groups = {image.name: image.group for image in result.images}
     anchors = set[str]()
