@@ -6,7 +6,15 @@ import pytest
 
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.requirements import Command, Requirement, parse_requirement, parse_requirements
+from pcwlad_geo.requirements import (
+    Command,
+    Figure,
+    Requirement,
+    all_met,
+    judge,
+    parse_requirement,
+    parse_requirements,
+)
 
 
 @pytest.mark.parametrize(
@@ -99,3 +107,15 @@ def test_one_text_or_several(given: str | list[str]) -> None:
 def test_what_is_no_text_is_told(given: object) -> None:
     with pytest.raises(SettingsError, match=r"require = .*: give a text or a list"):
         Settings.from_options({"require": given})
+
+
+def test_a_doubt_goes_with_met_limits_on_accuracy_alone() -> None:
+    sigma, points = (parse_requirement(text, "stack") for text in ("sigma<=0.2px", "points>=10"))
+    doubt = "but the stack is poor"
+    assert judge(sigma, Figure(0.1, doubt=doubt)).caveat == doubt
+    assert judge(sigma, Figure(0.3, doubt=doubt)).caveat is None
+    assert judge(points, Figure(20.0, doubt=doubt)).caveat is None
+    unknown = judge(sigma, Figure(None, "no sigma"))
+    assert (unknown.met, unknown.reason) == (False, "no sigma")
+    assert all_met([]) is None
+    assert all_met([judge(points, Figure(20.0)), unknown]) is False

@@ -24,6 +24,7 @@ from pcwlad_geo.multi.stack.pair_choice import CHOICE, candidates, choose_pairs,
 from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster.grid import map_px
 from pcwlad_geo.raster.source import describe
+from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.scenes import make_grid, render, write
 
@@ -106,6 +107,18 @@ def test_a_second_run_matches_nothing_and_gives_the_same_bytes(
     monkeypatch.setattr("pcwlad_geo.multi.stack.pairs.match_files", fail)
     stack([done / f"date{k}.tif" for k in range(3)], out_dir=done / "out put", **FEW)
     assert content(done / "out put") == before
+
+
+def test_the_tie_points_of_a_pair_are_read_once(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files: list[Path] = []
+
+    def noting(path: Path) -> PointFile:
+        files.append(path)
+        return read_point_file(path)
+
+    monkeypatch.setattr("pcwlad_geo.multi.stack.pairs.read_point_file", noting)
+    stack([done / f"date{k}.tif" for k in range(3)], out_dir=done / "out put", **FEW)
+    assert len(files) == len(set(files)) == 3
 
 
 def test_each_pair_is_proved_where_that_is_asked_for(done: Path, tmp_path: Path) -> None:
