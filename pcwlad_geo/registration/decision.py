@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pcwlad_geo.registration.quality import Doubt, Quality
-from pcwlad_geo.requirements import RequirementResult
+from pcwlad_geo.requirements import RequirementResult, all_met
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Decision:
     @property
     def passed(self) -> bool | None:
         """Whether all requirements are met; None where nothing was required."""
-        return all(requirement.met for requirement in self.requirements) if self.requirements else None
+        return all_met(self.requirements)
 
     def refused(self, text: str | None) -> Decision:
         """Return the decision with another refusal; accepted if it is None."""
