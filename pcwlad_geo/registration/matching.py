@@ -293,10 +293,9 @@ def _by_matching(
     jitter_px = scene.jitter_px * float(file_px_per_px(views.target).max())
     if jitter_px >= parameters.jitter_px:
         log.warn(
-            f"rows or columns move against each other by {jitter_px:.2f} px (RMS) within a matching window: "
-            "tie points are means over it; resampling by nearest neighbour does that, by steps of up to half "
-            "a pixel, and a line scanner that shakes (jitter), which a smaller --window with --model jitter "
-            "may follow"
+            f"rows or columns are displaced against each other by {jitter_px:.2f} px (RMS) within a matching "
+            "window, and a tie point is the mean over it: the raster was resampled by nearest neighbour, or "
+            "its scanner shook (jitter: try a smaller --window with --model jitter)"
         )
     return Matches(
         pair=pair,

@@ -22,8 +22,8 @@ from pcwlad_geo.tiepoints.table import TiePointTable, joined
 from pcwlad_geo.types import Index
 
 UNKNOWN_ORIGIN: Final = (
-    "nothing beside the file of tie points tells how they were found: whether they were chosen by their "
-    "residuals, and how large their own errors are, is not known, so that all figures may be too good"
+    "the tie points are of a file without the results of their matching beside it: their own errors, and "
+    "whether they were chosen by their residuals, are not known, so all figures may be too good"
 )
 """Why tie points without a history make no good registration."""
 

@@ -161,7 +161,7 @@ def test_a_file_without_a_history_is_fair_at_best(folder: Path, tmp_path: Path) 
     assert found.origin.folder is None
     assert found.quality is not None
     assert found.quality.grade == "fair"
-    assert "is not known" in found.quality.reasons[0].text
+    assert "are not known" in found.quality.reasons[0].text
     pair = (folder.parent / "ref.tif", folder.parent / "tgt.tif")
     for limit in ("CE90<=100px", "sigma<=100px"):
         out_dir = tmp_path / limit[:2]

@@ -209,6 +209,6 @@ def control_warnings(
             name = block.frame.names[pair.second]
             warnings.append(
                 f"the control point at ({col:.1f}, {row:.1f}) px (col, row) of {name} lies {length:.1f} "
-                "px off what all others tell: check its coordinates"
+                "px off where all others put it: check its coordinates"
             )
     return warnings

@@ -75,9 +75,9 @@ def warn_of_start(pair: ViewPair, prealignment: Prealignment, context: SceneCont
     log = context.log
     if prealignment.matched_by == "grey values":
         log.warn(
-            "the two share too little structure: what is matched are their grey values, and slopes and "
-            "shadows may have other tones in one than in the other; tie points share an error of some "
-            f"{context.parameters.grey_error_px} px per axis, which their sigmas hold"
+            "the two share too little structure and are matched by the relation of their grey values, from "
+            "which slopes and shadows may depart: tie points share an error of some "
+            f"{context.parameters.grey_error_px} px per axis, which is part of their sigmas"
         )
     if prealignment.method == "search" and pair.georeferenced:
         col, row = prealignment.shift_px
@@ -107,6 +107,6 @@ def note_of_sizes(pair: ViewPair) -> str:
     larger, ratio = ("reference", 1 / guessed) if guessed < 1 else ("target", guessed)
     return (
         f". The pixels of the {larger} may be {ratio:.1f} times as small, and scales about that were tried "
-        "too: if neither a quarter to four times that nor ¼ to 4 is theirs, reduce the larger frame first "
+        "too, as were those from ¼ to 4: if the true scale is another, reduce the larger frame first "
         "(gdal_translate -outsize)"
     )
