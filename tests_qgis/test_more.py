@@ -133,7 +133,7 @@ def test_the_help_needs_no_network(seen: dict[str, Any]) -> None:
     (page,) = seen["help"]
     assert page.endswith("pcwlad_geo_qgis/manual/index.html")
     text = Path(page.removeprefix("file://")).read_text(encoding="utf-8")
-    assert "From an empty profile to an aligned pair" in text
+    assert "Align a layer" in text
     assert len(seen["algorithm_help"]) == 11
     for address in seen["algorithm_help"]:
         assert address.startswith(f"{page}#")

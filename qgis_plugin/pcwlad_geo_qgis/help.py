@@ -258,6 +258,7 @@ STAGES = {
     "captures": mark("Captures"),
     "writing": mark("Writing"),
     "warping": mark("Warping"),
+    "vectors": mark("Vectors"),
 }
 """What the engine's stages are called."""
 MODELS = {

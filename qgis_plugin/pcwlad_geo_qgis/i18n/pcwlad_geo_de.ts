@@ -1104,6 +1104,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Entzerren</translation>
     </message>
     <message>
+      <source>Vectors</source>
+      <translation>Vektoren</translation>
+    </message>
+    <message>
       <source>Polynomial 2</source>
       <translation>Polynom 2</translation>
     </message>
