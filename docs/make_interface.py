@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from make_man import STATUSES, commands
 
 import pcwlad_geo
-from pcwlad_geo.outputs.write import outputs
-from pcwlad_geo.tiepoints.table import COLUMNS as TIE_POINT_COLUMNS
+from pcwlad_geo.outputs.files import outputs
+from pcwlad_geo.tiepoints.table import POINT_COLUMNS
 
 DOCS: Final = Path(__file__).resolve().parent
 PAGE: Final = DOCS / "development" / "interface.md"
@@ -115,7 +115,7 @@ def page() -> str:
         commands=table("command, options", options()),
         statuses=table("status, meaning", STATUSES.items()),
         files=table("file, when", ((f"`{file_name(each.name)}`", each.when.words) for each in outputs())),
-        columns=table("file, columns", [("`tiepoints.csv`", code(TIE_POINT_COLUMNS))]),
+        columns=table("file, columns", [("`tiepoints.csv`", code(POINT_COLUMNS))]),
         schemas=table("schema, entries that are always there", schemas()),
     )
 

@@ -16,7 +16,7 @@ import typer
 from typer.main import get_command
 
 import pcwlad_geo
-from pcwlad_geo.cli.app import EXAMPLES, app
+from pcwlad_geo.cli.app import HELP_EXAMPLES, app
 
 PAGE: Final = Path(__file__).resolve().parent / "pcwlad-geo.1"
 STATUSES: Final = {
@@ -40,7 +40,7 @@ def escaped(text: str) -> str:
 
 def page() -> str:
     """Return the man page."""
-    epilogs = [EXAMPLES, *(command.epilog for _, command in commands())]
+    epilogs = [HELP_EXAMPLES, *(command.epilog for _, command in commands())]
     examples = [line.strip() for text in epilogs for line in text.splitlines() if line.startswith("  ")]
     lines = [
         f'.TH PCWLAD\\-GEO 1 "" "pcwlad\\-geo {pcwlad_geo.__version__}" "User commands"',

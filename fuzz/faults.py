@@ -49,7 +49,7 @@ LOADED: Final = (
     "pcwlad_geo.cli.app",
     "pcwlad_geo.registration.run",
     "pcwlad_geo.multi.stack.run",
-    "pcwlad_geo.report.figures",
+    "pcwlad_geo.report.maps",
     "pcwlad_geo.report.page",
     "pcwlad_geo.job",
     "pcwlad_geo.outputs.write",
@@ -371,7 +371,7 @@ def load_everything() -> None:
     for name in LOADED:
         import_module(name)
     from pcwlad_geo.cli.app import run
-    from pcwlad_geo.report.page import page_environment
+    from pcwlad_geo.report.page_templates import page_environment
 
     with redirect_stderr(io.StringIO()):
         run(["register", "", ""])  # the options are described when a command is read first

@@ -54,7 +54,7 @@ def serve() -> None:
         answers.write(json.dumps(run(order, figures).to_json()) + "\n")
 
 
-def warm_up() -> bytes:
+def warm_up() -> str:
     """Do each kind of job once, so that forks find all loaded; return a figure to show instead of others.
 
     Nothing is warped to a file: GDAL's writers start threads that stay.
@@ -77,7 +77,7 @@ def warm_up() -> bytes:
     kept: dict[str, Any] = {}
     figures_of = page._figures
 
-    def keep(*arguments: Any) -> dict[str, bytes | None]:
+    def keep(*arguments: Any) -> dict[str, str | None]:
         kept.update(figures_of(*arguments))
         return figures_of(*arguments)
 
@@ -95,12 +95,12 @@ def warm_up() -> bytes:
         pcwlad_geo.qa(pair, out_dir=Path(place) / "c", **options)
     page._figures = figures_of
     figure = kept["coverage"]
-    if not isinstance(figure, bytes):
+    if not isinstance(figure, str):
         raise TypeError("the warm-up has drawn no figure")
     return figure
 
 
-def run(order: Order, figure: bytes) -> Outcome:
+def run(order: Order, figure: str) -> Outcome:
     """Run a command in a fork and wait for its end, bounded in time and memory."""
     since = time.monotonic()
     process = os.fork()
@@ -175,7 +175,7 @@ def _end_orphans() -> int:
     return left
 
 
-def _be_the_command(order: Order, figure: bytes) -> NoReturn:
+def _be_the_command(order: Order, figure: str) -> NoReturn:
     """Be the command line in a fork: what this returns from is the end of the process."""
     status = 1
     try:
@@ -219,10 +219,10 @@ def _settle(order: Order) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
 
 
-def _show_instead(figure: bytes) -> None:
+def _show_instead(figure: str) -> None:
     from pcwlad_geo.report import page
 
-    shown: dict[str, bytes | None] = dict.fromkeys(page.OPTIONAL)
+    shown: dict[str, str | None] = dict.fromkeys(page.OPTIONAL)
     page._figures = lambda *_: {**shown, "displacements": figure, "coverage": figure}  # type: ignore[assignment]
 
 

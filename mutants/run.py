@@ -32,8 +32,8 @@ import rasterio.shutil  # noqa: F401
 import scipy.spatial  # noqa: F401
 
 from mutants import trial
-from mutants.operators import Mutant
-from mutants.targets import EQUIVALENT, TARGETS, equivalent, key, mutants_of
+from mutants.operators import Mutant, mutants
+from mutants.targets import EQUIVALENT, TARGETS, equivalent, key
 from mutants.trial import REPOSITORY, Bench, Limits
 
 MUST_KILL: Final = 0.9
@@ -65,7 +65,7 @@ def main() -> int:
 
 def _study(module: str, arguments: argparse.Namespace) -> bool:
     source = (REPOSITORY / module).read_text(encoding="utf-8")
-    every = mutants_of(module, source)
+    every = mutants(source)
     excused = equivalent(module)
     stale = excused.keys() - {key(mutant) for mutant in every}
     for where, before, after in sorted(stale):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from typing import Final
 
-from mutants.operators import Mutant, mutants
+from mutants.operators import Mutant
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -36,28 +35,13 @@ TARGETS: Final[dict[str, tuple[str, ...]]] = {
         "tests/matching/test_outliers.py",
     ),
     "pcwlad_geo/matching/clusters.py": ("tests/matching/test_outliers.py",),
-    "pcwlad_geo/cli/job.py": ("tests/cli/test_interrupt.py",),
+    "pcwlad_geo/cli/interrupts.py": ("tests/cli/test_interrupt.py",),
     "pcwlad_geo/limits.py": ("tests/common/test_limit_checks.py",),
     "pcwlad_geo/raster/warped_views.py": ("tests/raster/test_unread.py",),
     "pcwlad_geo/outputs/folder.py": STAGING,
     "pcwlad_geo/outputs/stages.py": STAGING,
 }
 """The tests named first are run first: the quickest ones belong there."""
-PARTS: Final[dict[str, frozenset[str]]] = {
-    "pcwlad_geo/cli/job.py": frozenset(
-        {"GRACE_S", "CLEANING_S", "WATCHER", "INTERRUPTED", "SIGNALS", "cancellable"}
-        | {"_interrupt", "_watch_signals", "_end_process", "_watch_stdin"}
-    ),
-}
-"""Names of the functions and constants that are mutated, in modules of which only a part is."""
-
-
-def mutants_of(module: str, source: str) -> list[Mutant]:
-    """Return the mutants of a module of `TARGETS`, or of the part of it that is mutated."""
-    parts, every = PARTS.get(module), mutants(source)
-    if parts is None:
-        return every
-    return [each for each in every if re.split(r"\W", each.where or each.before, maxsplit=1)[0] in parts]
 
 
 def equivalent(module: str) -> dict[tuple[str, str, str], str]:

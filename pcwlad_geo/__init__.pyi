@@ -15,7 +15,7 @@ from .errors import (
 )
 from .events import Event, EventCallback, Progress, Warned
 from .execution.runner import Runner
-from .job import match_files, prove, register
+from .job import match_files, register
 from .matching.matcher import match_arrays
 from .matching.types import MatchSettings, TiePoints
 from .multi.batch.run import BatchResult, batch
@@ -30,6 +30,7 @@ from .multi.stack.run import stack
 from .multi.watch.numbers import WatchNumbers
 from .multi.watch.run import watch
 from .options import Options, PairOptions, Settings
+from .proving import prove
 from .raster.arrays import DataArrayLike, Raster, RasterLike
 from .raster.grid import Grid
 from .raster.source import RasterInfo

@@ -26,6 +26,7 @@ from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.options import Model, PairOptions, Resampling, Settings
+from pcwlad_geo.raster import RpcGrid, check_unchanged, trusting
 from pcwlad_geo.raster.arrays import (
     DataArrayLike,
     Raster,
@@ -36,9 +37,6 @@ from pcwlad_geo.raster.arrays import (
     read_raster,
     to_raster,
 )
-from pcwlad_geo.raster.identity import check_unchanged
-from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.registration import (
     Matches,
     Pair,
@@ -147,8 +145,8 @@ def match(
         )
     settings = pair.settings
     # points of a file leave workers nothing to do
-    chosen = InThisProcess() if settings.tie_points else executor
-    with trusting(settings.trust), open_job_runner(settings, chosen, on_event) as runner:
+    tile_executor = InThisProcess() if settings.tie_points else executor
+    with trusting(settings.trust), open_job_runner(settings, tile_executor, on_event) as runner:
         matches = match_pair(pair, runner, on_event=on_event)
         check_unchanged(file.identity for file in pair.inputs)
         return matches
@@ -190,8 +188,8 @@ def fit(
             "model = 'rpc': the pair was opened without the target's RPC: open it with model='rpc'"
         )
     with trusting(settings.trust):
-        found = fit_pair(matches, settings, on_event=on_event) if matches.accepted else None
-        registration = conclude(matches, found)
+        fitted = fit_pair(matches, settings, on_event=on_event) if matches.accepted else None
+        registration = conclude(matches, fitted)
     if registration.status == "rejected":
         raise RegistrationRejectedError(str(registration.reason), registration)
     return FittedCorrection(registration, pair.scratch)
@@ -274,11 +272,11 @@ class FittedCorrection(Shown):
         reference's CRS (`tie_points.crs`), without one px of the reference, y = -row.
         """
         table = self.tie_points
-        used = table[table.status != "rejected"].placed
+        points = table[table.status != "rejected"].placed
         return [
             GroundControlPoint(row=row, col=col, x=x, y=y, id=str(number))
             for number, ((col, row), (x, y)) in enumerate(
-                zip(used.target_px.tolist(), used.xy.tolist(), strict=True), start=1
+                zip(points.target_px.tolist(), points.xy.tolist(), strict=True), start=1
             )
         ]
 
@@ -357,11 +355,13 @@ class FittedCorrection(Shown):
             if all(requested.get(name) is None for name in GRID_OPTIONS):
                 requested["grid"] = "reference-exact"
         with trusting(self.registration.settings.trust):
-            done = finished(self.registration)
-            request, fmt = requested_output(done, requested)
-            wanted = WarpOutput(done.reference_grid, request, fmt, resampling or done.resampling)
+            registration = finished(self.registration)
+            request, fmt = requested_output(registration, requested)
+            warp_output = WarpOutput(
+                registration.reference_grid, request, fmt, resampling or registration.resampling
+            )
             uri = scratch.file_of(self._placed(src), "array")
-            apply(done, [uri], [place], wanted, False, overwrite, on_event)
+            apply(registration, [uri], [place], warp_output, False, overwrite, on_event)
         return place if dst is not None else like_the_source(read_raster(place), src)
 
     def _placed(self, src: RasterLike) -> RasterLike:

@@ -17,7 +17,7 @@ from pcwlad_geo.errors import SettingsError
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_KINDS: Final[dict[Any, Any]] = {int: Integral, float: Real, Path: os.PathLike}
+_TYPES: Final[dict[Any, Any]] = {int: Integral, float: Real, Path: os.PathLike}
 _WORDS: Final[dict[Any, str]] = {
     **{type(None): "None", str: "a text", os.PathLike: "a path", Path: "a path", Callable: "a function"},
     **{bool: "True or False", int: "a whole number", float: "a number"},
@@ -41,8 +41,8 @@ def checked(*but: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
         signature = inspect.signature(function)
         names = [
             name
-            for name, each in signature.parameters.items()
-            if name not in (*but, "self") and each.kind is not each.VAR_KEYWORD
+            for name, parameter in signature.parameters.items()
+            if name not in (*but, "self") and parameter.kind is not parameter.VAR_KEYWORD
         ]
 
         @cache
@@ -69,19 +69,19 @@ def fits(value: object, hint: Any) -> bool:  # noqa: ANN401  # any type
     """Return whether a value is of a type, of lists and tuples also what they hold."""
     kind, inner = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, types.UnionType):
-        return any(fits(value, each) for each in inner)
+        return any(fits(value, option) for option in inner)
     if kind is Literal:
-        return any(type(value) is type(each) and value == each for each in inner)
+        return any(type(value) is type(option) and value == option for option in inner)
     if kind is tuple and inner[-1] is not ...:
         return isinstance(value, tuple | list) and len(value) == len(inner) and all(map(fits, value, inner))
     if kind in (Sequence, tuple):
         listed = value if isinstance(value, Sequence) and not isinstance(value, str | bytes) else [None]
-        return all(fits(each, inner[0]) for each in listed)
+        return all(fits(item, inner[0]) for item in listed)
     if kind is bool:
         return type(value).__name__ in ("bool", "bool_")  # also NumPy's, which is slow to load
     if getattr(kind, "_is_protocol", False):
         return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
-    return isinstance(value, _KINDS.get(kind, kind)) and not (
+    return isinstance(value, _TYPES.get(kind, kind)) and not (
         isinstance(value, bool) and kind in (int, float)
     )
 

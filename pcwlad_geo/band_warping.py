@@ -13,19 +13,29 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.options import OutputGrid, Resampling, Settings
+from pcwlad_geo.outputs.bands import BandOutput, orthorectify_band, warp_band
+from pcwlad_geo.outputs.files import OUTPUT_NAMES
 from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band, warp_band
-from pcwlad_geo.raster import warping
-from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
+from pcwlad_geo.raster import (
+    FileIdentity,
+    Grid,
+    GridRequest,
+    OutputFormat,
+    Trust,
+    check_unchanged,
+    describe,
+    identify,
+    map_px,
+    output_grids,
+    trusting,
+    warping,
+)
 from pcwlad_geo.raster.matching_grid import grid_on_plane_of
-from pcwlad_geo.raster.output_format import OutputFormat, check_format
-from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_grids
+from pcwlad_geo.raster.output_format import check_format
+from pcwlad_geo.raster.output_grid import check_covered
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.ortho import requested_ortho_grids
-from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration import CorrectedRpc, RpcRegistration, requested_grid
 from pcwlad_geo.registration.inputs import check_placed
@@ -88,11 +98,11 @@ def _by_rpc(
 
 def _ortho_grids(target: CorrectedRpc, siblings: Sequence[RpcRegistration], output: WarpOutput) -> list[Grid]:
     """Return the output grids: one extent for all, the target's; raise where one shows nothing."""
-    own = [sibling.corrected_grid for sibling in siblings]
-    registered = replace(own[0], shape=target.shape, rpc=target.corrected)
-    grids = requested_ortho_grids(output.reference_grid, registered, output.request, own)
+    corrected = [sibling.corrected_grid for sibling in siblings]
+    registered = replace(corrected[0], shape=target.shape, rpc=target.corrected)
+    grids = requested_ortho_grids(output.reference_grid, registered, output.request, corrected)
     if output.request.needs_ground or output.request.fixed(output.reference_grid):
-        for raster, grid in zip(own, grids, strict=True):
+        for raster, grid in zip(corrected, grids, strict=True):
             check_covered(grid, raster.to_xy(raster.boundary_px()), raster.crs)
     return grids
 
@@ -202,10 +212,10 @@ def warp(
         places = _warped_paths(sources, out_dir, output_raster, fmt.extension)
         moved_places = [vector_place(vector, Path(out_dir or ".")) for vector in vectors]
         check_outputs([*places, *moved_places], names, overwrite=overwrite)
-        wanted = WarpOutput(finished.reference_grid, request, fmt, resampling or finished.resampling)
+        warp_output = WarpOutput(finished.reference_grid, request, fmt, resampling or finished.resampling)
         warped: tuple[Path, ...] = ()
         if sources or not vectors:
-            warped = apply(finished, sources, places, wanted, output_raster is None, overwrite, on_event)
+            warped = apply(finished, sources, places, warp_output, output_raster is None, overwrite, on_event)
         moved = warp_vectors(
             vectors, moved_places, finished, is_inverse=inverse, overwrite=overwrite, on_event=on_event
         )
@@ -216,7 +226,7 @@ def apply(
     finished: FinishedRegistration,
     sources: Sequence[str],
     places: Sequence[Path],
-    wanted: WarpOutput,
+    output: WarpOutput,
     rpc_sidecar: bool,
     overwrite: bool,
     on_event: EventCallback,
@@ -231,19 +241,19 @@ def apply(
     inputs = [identify(source) for source in sources]
     _warn_of_changes(inputs, finished, on_event)
     files = _rpc_paths(sources, places, with_rpc=rpc_sidecar and finished.rpc is not None)
-    every = [place for each in files for place in each.values()]
+    every = [place for paths in files for place in paths.values()]
     check_outputs(every, sources, overwrite=overwrite)
     if finished.rpc is None:
-        write = _by_correction(sources, files, finished, wanted, on_event)
+        write = _by_correction(sources, files, finished, output, on_event)
     else:
-        write = _by_rpc(sources, files, finished.rpc, wanted, on_event)
+        write = _by_rpc(sources, files, finished.rpc, output, on_event)
     with stage_inside(places[0].parent) as stage:
-        for number, each in enumerate(files):
+        for number, paths in enumerate(files):
             on_event(Progress("rasters", number, len(sources)))
-            staged = {kind: stage / place.name for kind, place in each.items()}
+            staged = {kind: stage / place.name for kind, place in paths.items()}
             write(number, staged)
             check_unchanged(inputs[number])
-            for kind, place in each.items():
+            for kind, place in paths.items():
                 put = place_with_files if kind == "raster" else place_file
                 put(staged[kind], place, overwrite=overwrite)
     on_event(Progress("rasters", len(sources), len(sources)))
@@ -254,15 +264,15 @@ def _warn_of_changes(
     files: Sequence[Sequence[FileIdentity]], finished: FinishedRegistration, on_event: EventCallback
 ) -> None:
     """Warn about a raster that has changed since it was registered itself."""
-    registered = {each.path: each for each in finished.inputs}
-    for each in (identity for identities in files for identity in identities):
-        before = registered.get(each.path)
-        difference = before.difference(each) if before else None
+    registered = {identity.path: identity for identity in finished.inputs}
+    for identity in (identity for identities in files for identity in identities):
+        before = registered.get(identity.path)
+        difference = before.difference(identity) if before else None
         if difference is not None:
             on_event(
                 Warned(
-                    f"{each.path} was changed ({difference}) since the registration was made: register it "
-                    "again unless its pixels lie as they did"
+                    f"{identity.path} was changed ({difference}) since the registration was made: register "
+                    "it again unless its pixels lie as they did"
                 )
             )
 
@@ -287,30 +297,30 @@ def _by_correction(
     sources: Sequence[str],
     places: Sequence[Mapping[str, Path]],
     finished: FinishedRegistration,
-    wanted: WarpOutput,
+    output: WarpOutput,
     on_event: EventCallback,
 ) -> WriteBand:
     """Return what warps the rasters; raise if one cannot be used, shows nothing or cannot be written so."""
-    correction, target, request = finished.correction, finished.target_grid, wanted.request
-    own = [grid_on_plane_of(describe(source), target) for source in sources]
-    for source, raster in zip(sources, own, strict=True):
+    correction, target, request = finished.correction, finished.target_grid, output.request
+    own_grids = [grid_on_plane_of(describe(source), target) for source in sources]
+    for source, raster in zip(sources, own_grids, strict=True):
         warping.check_geometry(source, raster, target)
-    if wanted.format.is_vrt and not isinstance(correction, AffineCorrection):
+    if output.format.is_vrt and not isinstance(correction, AffineCorrection):
         raise SettingsError(
             f"of = 'VRT': a VRT cannot hold the {correction.name} correction of this registration; give --of "
             "COG or GTiff"
         )
     located = {"the reference": finished.reference_grid.located, "the target": target.located}
     check_placed(request, located, finished.reference_grid)
-    grids = output_grids(finished.reference_grid, target, correction, request, own)
-    for source, raster, grid in zip(sources, own, grids, strict=True):
+    grids = output_grids(finished.reference_grid, target, correction, request, own_grids)
+    for source, raster, grid in zip(sources, own_grids, grids, strict=True):
         if request.needs_ground or request.fixed(finished.reference_grid):
             observed_px = map_px(raster.boundary_px(), raster, target)
             check_covered(grid, target.to_xy(correction.inverse(observed_px)), target.crs)
-        check_format(wanted.format, source, grid)
+        check_format(output.format, source, grid)
 
     def write(number: int, staged: Mapping[str, Path]) -> None:
-        how = BandOutput(grids[number], wanted.resampling, wanted.format, places[number]["raster"])
+        how = BandOutput(grids[number], output.resampling, output.format, places[number]["raster"])
         warp_band(sources[number], staged["raster"], correction, target, how, on_event)
 
     return write
@@ -321,7 +331,9 @@ def _warped_paths(
 ) -> tuple[Path, ...]:
     """Return the paths of the warped rasters, in order; of the only one, where the user wants it."""
     if output_raster is None:
-        names = [NAMES["raster"].format(stem=Path(raster).stem, ending=extension) for raster in rasters]
+        names = [
+            OUTPUT_NAMES["raster"].format(stem=Path(raster).stem, ending=extension) for raster in rasters
+        ]
         return tuple(Path(out_dir or ".") / name for name in names)
     if len(rasters) > 1:
         raise SettingsError(
@@ -335,6 +347,6 @@ def _rpc_paths(sources: Sequence[str], rasters: Sequence[Path], *, with_rpc: boo
     kinds = ("rpc", "rpc_text") if with_rpc else ()
     return [
         {"raster": raster}
-        | {kind: raster.with_name(NAMES[kind].format(stem=Path(source).stem)) for kind in kinds}
+        | {kind: raster.with_name(OUTPUT_NAMES[kind].format(stem=Path(source).stem)) for kind in kinds}
         for source, raster in zip(sources, rasters, strict=True)
     ]

@@ -26,12 +26,14 @@ def pixels_of(image: object) -> NDArray[Any]:
     The (…, rows, cols) pixels are a masked array where a mask, an attribute or an encoding says that some do
     not count. NaN is for the caller. Raises `InputError` if this is no array.
     """
-    held: Any = getattr(image, "array", image)
-    while hasattr(held, "compute"):  # xarray gives what it holds, dask its result, with the mask that it has
-        held = held.data if hasattr(held, "dims") else held.compute()
-    if not is_array(held):
+    values: Any = getattr(image, "array", image)
+    while hasattr(
+        values, "compute"
+    ):  # xarray gives what it holds, dask its result, with the mask that it has
+        values = values.data if hasattr(values, "dims") else values.compute()
+    if not is_array(values):
         raise InputError(f"{type(image).__name__} is no array: give one of NumPy, dask or xarray")
-    values = held if isinstance(held, np.ma.MaskedArray) else np.asarray(held)
+    values = values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
     native = np.ascontiguousarray(np.ma.getdata(values), dtype=values.dtype.newbyteorder("="))
     mask = np.broadcast_to(np.ma.getmaskarray(values), native.shape)
     if native.dtype.kind in "uif":
@@ -43,8 +45,8 @@ def pixels_of(image: object) -> NDArray[Any]:
 def nodata_of(image: object, dtype: np.dtype[Any]) -> float | None:
     """Return the first value of what is not valid that a data type holds; None if there is none."""
     limits = (-np.inf, np.inf) if dtype.kind == "f" else (np.iinfo(dtype).min, np.iinfo(dtype).max)
-    held = (value for value in _nodata_values(image) if dtype.kind == "f" or value.is_integer())
-    return next((value for value in held if np.isnan(value) or limits[0] <= value <= limits[1]), None)
+    candidates = (value for value in _nodata_values(image) if dtype.kind == "f" or value.is_integer())
+    return next((value for value in candidates if np.isnan(value) or limits[0] <= value <= limits[1]), None)
 
 
 def _nodata_values(image: object) -> Iterator[float]:

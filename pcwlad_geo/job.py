@@ -1,7 +1,8 @@
-"""The jobs: the four steps of `registration.run`, then the folder. The command line and Python share them."""
+"""The jobs on one pair: the four steps of `registration.run`, then the output folder."""
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -10,29 +11,24 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, get_args
+from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 from rasterio.errors import NotGeoreferencedWarning
 
-from pcwlad_geo.arguments import checked, fits, shown
-from pcwlad_geo.correction import Effort
+from pcwlad_geo.arguments import checked
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.execution.workers import open_runner
 from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs.files import outputs
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.outputs.write import outputs, write
-from pcwlad_geo.products.finding import products_found_once as products_found_once
+from pcwlad_geo.outputs.write import Written, write
 from pcwlad_geo.products.finding import stem_of
+from pcwlad_geo.raster import OutputFormat, check_unchanged, file_name, plain_name, trusting
 from pcwlad_geo.raster.arrays import file_of
-from pcwlad_geo.raster.file_tree import file_name, plain_name
-from pcwlad_geo.raster.identity import check_unchanged
-from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.trust.permissions import trusting
-from pcwlad_geo.registration import check_output, resolve
-from pcwlad_geo.registration.inputs import band_file
+from pcwlad_geo.registration import Inputs, check_output, resolve
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
@@ -41,12 +37,15 @@ if TYPE_CHECKING:
     from rasterio.io import DatasetReader
     from typing_extensions import Unpack
 
-    from pcwlad_geo.correction.proof_result import Proof
     from pcwlad_geo.options import Options
     from pcwlad_geo.products.product import ProductBand
     from pcwlad_geo.registration import Registration
+    from pcwlad_geo.report.content import Report
 
-Job = Literal["registered", "matched"]
+Command = Literal["register", "match"]
+Job = Literal["registered", "matched", "proof"]
+JOB_OF: Final[Mapping[Command, Job]] = {"register": "registered", "match": "matched"}
+"""How the output folder of a command is called by default, after the target."""
 
 
 class OutputPlaces(TypedDict, total=False):
@@ -59,21 +58,94 @@ class OutputPlaces(TypedDict, total=False):
     output_points: PathLike | None
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """What is registered or matched, and what is written."""
+@dataclass(frozen=True, slots=True, eq=False)
+class PairJob:
+    """A pair that is registered or matched, and what is written of it."""
 
-    command: Literal["register", "match"]
-    inputs: tuple[str, str]
-    """Reference and target: paths, GDAL URIs or products."""
+    command: Command
+    names: tuple[str, str]
+    """Reference and target as the user names them: paths, GDAL URIs or products."""
+    inputs: Inputs
     settings: Settings
-    places: Mapping[str, Path]
-    """Where each kind of output goes."""
+    folder: Path
+    inside: Mapping[str, Path]
+    """Where each kind of output lies in the folder."""
+    elsewhere: Mapping[str, Path]
+    """Final places of the outputs that are wanted outside of it."""
     overwrite: bool
+
+    @classmethod
+    def of(
+        cls,
+        command: Command,
+        names: tuple[str, str],
+        settings: Settings,
+        places: OutputPlaces,
+        *,
+        overwrite: bool,
+    ) -> PairJob:
+        """Find the inputs of a job, and the places of its outputs.
+
+        Raises `InputError` if a product, or a band of it, is missing, or options contradict the places.
+        """
+        if settings.no_report and places.get("output_report") is not None:
+            raise SettingsError("output_report names a page that no_report leaves out: give one of them")
+        inputs = resolve(*names, settings, all_bands=command == "register")
+        folder = output_folder(names[1], JOB_OF[command], places.get("out_dir"))
+        inside = output_paths(inputs.target_file, command, settings.of, folder)
+        elsewhere = {
+            name.removeprefix("output_"): Path(str(path))
+            for name, path in places.items()
+            if name != "out_dir" and path
+        }
+        outside = {kind: path for kind, path in elsewhere.items() if path != inside[kind]}
+        return cls(command, names, inputs, settings, folder, inside, outside, overwrite)
+
+    @property
+    def places(self) -> dict[str, Path]:
+        """The final place of each kind of output."""
+        return {**self.inside, **self.elsewhere}
+
+    @property
+    def files(self) -> list[PathLike | None]:
+        """The files that it reads, and what else its inputs are named by."""
+        return [*self.names, *self.settings.files]
+
+    def band_paths(self, folder: OutputFolder) -> dict[ProductBand, Path]:
+        """Return where the other bands of the target's product are written."""
+        extension = OutputFormat.of(self.settings.of, self.settings.co).extension
+        return {
+            band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.{extension}"))
+            for band in self.inputs.other_bands
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrittenPair:
+    """A pair that was registered or matched, and whose outputs are written."""
+
+    registration: Registration
+    report: Report
+    """The content of its report.json."""
+    folder: Path
+    paths: Mapping[str, Path]
+    """The files written, by kind, without the other bands of a product."""
+
+    def accepted(self) -> Registration:
+        """Return the registration; raises `RequirementError` if it does not meet a requirement."""
+        if self.registration.passed is False:
+            missed = "; ".join(result.text for result in self.registration.requirements if not result.met)
+            message = f"{missed} (report: {self.page})"
+            raise RequirementError(message, self.registration, self.folder)
+        return self.registration
+
+    @property
+    def page(self) -> Path:
+        """The report that a person reads: the page, or the numbers where there is none."""
+        return self.paths.get("report", self.paths["numbers"])
 
 
 @checked("reference", "target")
-@products_found_once()
 def register(
     reference: PathLike | DatasetReader,
     target: PathLike | DatasetReader,
@@ -136,12 +208,20 @@ def register(
         "output_report": output_report,
         "output_points": output_points,
     }
-    job = _job("register", (file_of(reference), file_of(target)), overwrite, places, options)
-    return _run_and_write(job, executor, on_event)
+    names, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
+    written = write_pair(
+        "register",
+        names,
+        settings,
+        places,
+        overwrite=overwrite,
+        on_event=on_event,
+        executor=executor,
+    )
+    return written.accepted()
 
 
 @checked("reference", "target")
-@products_found_once()
 def match_files(
     reference: PathLike | DatasetReader,
     target: PathLike | DatasetReader,
@@ -166,8 +246,17 @@ def match_files(
         "output_report": output_report,
         "output_points": output_points,
     }
-    job = _job("match", (file_of(reference), file_of(target)), overwrite, places, options)
-    return _run_and_write(job, executor, on_event)
+    names, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
+    written = write_pair(
+        "match",
+        names,
+        settings,
+        places,
+        overwrite=overwrite,
+        on_event=on_event,
+        executor=executor,
+    )
+    return written.accepted()
 
 
 def match_elsewhere(inputs: tuple[str, str], settings: Settings, place: Path) -> Registration | str:
@@ -185,7 +274,7 @@ def match_elsewhere(inputs: tuple[str, str], settings: Settings, place: Path) ->
 
 
 def write_match(
-    found: Registration,
+    registration: Registration,
     reference: str,
     target: str,
     *,
@@ -194,48 +283,29 @@ def write_match(
     **options: Unpack[Options],
 ) -> Registration:
     """Write the results of a pair that `match_elsewhere` has matched, as `match_files` does."""
-    job = _job("match", (reference, target), overwrite, {"out_dir": out_dir}, options)
-    return _run_and_write(job, None, ignore, found)
+    names, settings = (reference, target), Settings.from_options(options)
+    places: OutputPlaces = {"out_dir": out_dir}
+    return write_pair(
+        "match", names, settings, places, overwrite=overwrite, registration=registration
+    ).accepted()
 
 
-def _job(
-    command: Literal["register", "match"],
-    inputs: tuple[str, str],
-    overwrite: bool,
-    places: OutputPlaces,
-    options: Options,
-) -> _Job:
-    settings = Settings.from_options(options)
-    if settings.no_report and places.get("output_report") is not None:
-        raise SettingsError("output_report names a page that no_report leaves out: give one of them")
-    kind: Job = "registered" if command == "register" else "matched"
-    paths = output_paths(inputs[1], kind, tgt_band=settings.tgt_band, of=settings.of, **places)
-    return _Job(command, inputs, settings, paths, overwrite)
+def output_paths(target: PathLike, command: Command, driver: str, folder: Path) -> dict[str, Path]:
+    """Return where each kind of output lies in a folder that a command may write.
 
-
-def output_paths(
-    target: PathLike, job: Job, *, tgt_band: int | str = 1, of: str = "COG", **places: Unpack[OutputPlaces]
-) -> dict[str, Path]:
-    """Return where each kind of output goes that a job may write.
-
-    The default folder ends with the name of the `job`; files of a product are named after its band
-    `tgt_band`, and the registered raster has the format `of`. The `places` are `out_dir` and the paths of
-    single outputs, as `register` takes them.
+    Files are named after the `target`, the band's file of a product, and the registered raster has the format
+    `driver`.
     """
-    name = plain_name(file_name(band_file(target, tgt_band)))
-    stem = Path(name).stem
-    given: dict[str, Any] = {**places}
-    folder = output_folder(target, job, given.pop("out_dir", None))
-    ending = OutputFormat(of).extension
-    paths = {
+    name = plain_name(file_name(os.fspath(target)))
+    stem, ending = Path(name).stem, OutputFormat(driver).extension
+    return {
         output.kind: folder / output.name.format(name=name, stem=stem, ending=ending)
         for output in outputs()
-        if job == "registered" or not output.when.corrected
+        if command == "register" or not output.when.corrected
     }
-    return paths | {name.removeprefix("output_"): Path(path) for name, path in given.items() if path}
 
 
-def output_folder(target: PathLike, job: Job | Literal["proof"], out_dir: PathLike | None = None) -> Path:
+def output_folder(target: PathLike, job: Job, out_dir: PathLike | None = None) -> Path:
     """Return `out_dir`, or the default output folder of a job, in the working folder."""
     return Path(out_dir or f"{plain_name(stem_of(target))}_{job}")
 
@@ -251,206 +321,112 @@ def open_job_runner(
     return open_runner(executor, on_event, jobs=settings.jobs, scheduler=settings.scheduler)
 
 
-def _run_and_write(
-    job: _Job, executor: Executor | Runner | None, on_event: EventCallback, found: Registration | None = None
-) -> Registration:
-    """Check the outputs, run the job, write its files beside their places, then put them there at once.
+def write_pair(
+    command: Command,
+    names: tuple[str, str],
+    settings: Settings,
+    places: OutputPlaces,
+    *,
+    overwrite: bool = False,
+    on_event: EventCallback = ignore,
+    executor: Executor | Runner | None = None,
+    registration: Registration | None = None,
+) -> WrittenPair:
+    """Check the outputs, run a job, write its files beside their places, then put them there at once.
 
-    A registration that is `found` already is only written.
+    Reference and target go by their `names`; a `registration` that is there already is only written. Errors
+    are those of `register`, but a requirement that is not met is no error here.
     """
-    requirements = parse_requirements(job.settings.require, job.command)
-    with warnings.catch_warnings(), trusting(job.settings.trust):
+    requirements = parse_requirements(settings.require, command)
+    with warnings.catch_warnings(), trusting(settings.trust):
         # Filters belong to the process, and rasterio swaps them: this one is set before there are threads,
         # and without the lock of `ignoring`, for which these would wait.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        inside, elsewhere = _check_outputs(job)
-        place = job.places["numbers"].parent
-        with OutputFolder(place, overwrite=job.overwrite, inputs=_files_of(job)) as folder:
+        job = PairJob.of(command, names, settings, places, overwrite=overwrite)
+        _check_outputs(job)
+        with OutputFolder(job.folder, overwrite=overwrite, inputs=job.files) as folder:
             staged = {
-                kind: folder.stage / inside[kind].name
-                if kind in elsewhere
-                else folder.path(inside[kind].name)
-                for kind in job.places
+                kind: folder.stage / place.name if kind in job.elsewhere else folder.path(place.name)
+                for kind, place in job.inside.items()
             }
-            bands = _band_paths(job, folder)
-            tell = on_event if job.settings.no_report else _preloading(on_event)
-            registration = found or _run(job, executor, tell)
+            bands = job.band_paths(folder)
+            if registration is None:
+                registration = _run(job, executor, on_event if settings.no_report else _preloading(on_event))
             # inside: slow to load, which `_preloading` may have done
             from pcwlad_geo.report.statistics import judge_requirements
 
             judged = judge_requirements(registration, requirements)
             registration = replace(registration, decision=replace(registration.decision, requirements=judged))
             with folder.writing():
-                kinds, messages = write(registration, staged, job.places, elsewhere, bands, on_event)
+                written = write(registration, staged, job.places, job.elsewhere, bands, on_event)
             check_unchanged(file.identity for file in registration.inputs)
-            for kind in kinds:
-                if kind in elsewhere:
+            for kind in written.kinds:
+                if kind in job.elsewhere:
                     put = place_with_files if kind == "raster" else place_file
-                    put(staged[kind], elsewhere[kind], overwrite=job.overwrite)
+                    put(staged[kind], job.elsewhere[kind], overwrite=overwrite)
             folder.commit()
-    outputs = {kind: job.places[kind] for kind in kinds} | {
-        f"raster {band.name}": job.places["numbers"].with_name(path.name)
-        for band, path in bands.items()
-        if "raster" in kinds
-    }
-    messages = registration.warnings + messages
-    return _accepted(replace(registration, warnings=messages, outputs=outputs), job.places)
+    return _reliable(_at_places(job, registration, written, bands))
 
 
-def _check_outputs(job: _Job) -> tuple[dict[str, Path], dict[str, Path]]:
-    """Raise where an output cannot be made; return where each would be in the folder, and those elsewhere."""
+def _at_places(
+    job: PairJob, registration: Registration, written: Written, bands: Mapping[ProductBand, Path]
+) -> WrittenPair:
+    """Return a pair with its files, and the warnings of their writing."""
+    paths = {kind: job.places[kind] for kind in written.kinds}
+    others = {f"raster {band.name}": job.folder / path.name for band, path in bands.items()}
+    registration = replace(
+        registration,
+        warnings=registration.warnings + written.warnings,
+        outputs=paths | (others if "raster" in paths else {}),
+    )
+    return WrittenPair(registration, written.report, job.folder, paths)
+
+
+def _reliable(pair: WrittenPair) -> WrittenPair:
+    """Return a pair; raise `RegistrationRejectedError` where it was rejected."""
+    if pair.registration.status == "rejected":
+        message = f"{pair.registration.reason} (report: {pair.page})"
+        raise RegistrationRejectedError(message, pair.registration, pair.folder)
+    return pair
+
+
+def _check_outputs(job: PairJob) -> None:
+    """Raise where an output cannot be made."""
     if job.settings.pdf:
-        from pcwlad_geo.report.page import check_pdf
+        from pcwlad_geo.report.pdf import check_pdf
 
         check_pdf()
-    inside = output_paths(
-        job.inputs[1],
-        "registered",
-        tgt_band=job.settings.tgt_band,
-        of=job.settings.of,
-        out_dir=job.places["numbers"].parent,
-    )
-    elsewhere = {kind: path for kind, path in job.places.items() if path != inside[kind]}
-    check_outputs([*job.places.values()], _files_of(job))
-    check_outputs([*elsewhere.values()], overwrite=job.overwrite)
+    check_outputs([*job.places.values()], job.files)
+    check_outputs([*job.elsewhere.values()], overwrite=job.overwrite)
     OutputFormat.of(job.settings.of, job.settings.co)
-    if "raster" in job.places:
-        check_output(*job.inputs, job.settings)
-    return inside, elsewhere
+    if job.command == "register":
+        check_output(job.inputs)
 
 
-def _files_of(job: _Job) -> list[PathLike | None]:
-    """Return the files that a job reads, and what else its inputs are named by."""
-    return [*job.inputs, *job.settings.files]
-
-
-def _band_paths(job: _Job, folder: OutputFolder) -> dict[ProductBand, Path]:
-    """Return where the other bands of the target's product are written."""
-    extension = OutputFormat.of(job.settings.of, job.settings.co).extension
-    resolved = resolve(*job.inputs, job.settings, all_bands="raster" in job.places)
-    return {
-        band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.{extension}"))
-        for band in resolved.other_bands
-    }
-
-
-def _run(job: _Job, executor: Executor | Runner | None, on_event: EventCallback) -> Registration:
-    """Run a job where its settings say, or on what the caller gives."""
+def _run(job: PairJob, executor: Executor | Runner | None, on_event: EventCallback) -> Registration:
+    """Run a job where its settings say, or on the executor of the caller."""
     settings = job.settings
     # points of a file leave workers nothing to do
     with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
-        from pcwlad_geo.registration import register_pair  # slow to load
+        from pcwlad_geo.registration import register_inputs  # slow to load
 
-        match_only = job.command == "match"
-        return register_pair(*job.inputs, settings, on_event=on_event, runner=runner, match_only=match_only)
-
-
-def _accepted(registration: Registration, places: Mapping[str, Path]) -> Registration:
-    """Raise where the pair was rejected or a requirement is not met; return the registration otherwise."""
-    out_dir = places["numbers"].parent
-    report = places["numbers" if registration.settings.no_report else "report"]
-    if registration.status == "rejected":
-        message = f"{registration.reason} (report: {report})"
-        raise RegistrationRejectedError(message, registration, out_dir)
-    if registration.passed is False:
-        missed = "; ".join(each.text for each in registration.requirements if not each.met)
-        raise RequirementError(f"{missed} (report: {report})", registration, out_dir)
-    return registration
+        return register_inputs(
+            job.inputs, on_event=on_event, runner=runner, match_only=job.command == "match"
+        )
 
 
 def _preloading(on_event: EventCallback) -> EventCallback:
-    """Return what passes events on, and loads what comes after the matching once that has begun."""
+    """Return a callback that passes events on, and loads the modules of the page once the matching begins."""
     threads: list[Thread] = []
 
     def load() -> None:
-        with suppress(Exception):  # whoever needs it will say it
+        with suppress(Exception):  # the writing raises it again
             import_module("pcwlad_geo.report.page").page_template()
 
-    def tell(event: Event) -> None:
+    def receive(event: Event) -> None:
         if isinstance(event, Progress) and event.stage == "matching" and not threads:
             threads.append(Thread(target=load))
             threads[0].start()
         on_event(event)
 
-    return tell
-
-
-PROOF_NAMES: Final = {"numbers": "proof.json", "report": "proof.html"}
-"""File names of a proof."""
-
-
-@checked("reference", "target", "effort")
-@products_found_once()
-def prove(
-    reference: PathLike | DatasetReader,
-    target: PathLike | DatasetReader,
-    *,
-    effort: Effort = "quick",
-    out_dir: PathLike | None = None,
-    overwrite: bool = False,
-    on_event: EventCallback = ignore,
-    executor: Executor | Runner | None = None,
-    **options: Unpack[Options],
-) -> Proof:
-    """Measure the tool's own error on a pair, and write `proof.json` and `proof.html`.
-
-    The target is moved by known amounts, by a resampling that adds no bias of its own, with fresh noise of
-    the level of each image, and matched again at tie points of the pair. Structure that lies elsewhere in the
-    other band cannot be seen by this.
-
-    Parameters
-    ----------
-    reference, target : path or rasterio dataset
-        As for `register`.
-    effort : {"quick", "full"}
-        quick: a sample of the points; full: more points and moves, and how much a part of the pair tolerates.
-    out_dir : path, optional
-        Output folder; ``<target stem>_proof`` in the working folder by default.
-    overwrite : bool
-        Replace the results of an earlier run in `out_dir`.
-    on_event : callable
-        Receives `Progress` and `Warned` events; an exception that it raises ends the job.
-    executor : concurrent.futures.Executor or Runner, optional
-        Runs the tiles of the matching; None = `jobs` processes, or the workers of `scheduler`.
-    **options
-        The fields of `Settings` that concern the matching, and `model`.
-
-    Returns
-    -------
-    Proof
-        Errors in target px (col, row).
-
-    Raises
-    ------
-    InputError
-        If a raster or an option cannot be used, or too few tie points are matched; nothing is written.
-    OutputError
-        If the results cannot be written.
-    ExecutionError
-        If what the matching runs on cannot be used or is lost.
-    RegistrationRejectedError
-        If the pair cannot be matched reliably; nothing is written.
-    """
-    inputs, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
-    if not fits(effort, Effort):
-        raise SettingsError(f"effort = {shown(effort)}: give one of {', '.join(get_args(Effort))}")
-    place = OutputFolder(
-        output_folder(inputs[1], "proof", out_dir),
-        overwrite=overwrite,
-        results=PROOF_NAMES["numbers"],
-        inputs=[*inputs, *settings.files],
-    )
-    with trusting(settings.trust), place as folder, open_job_runner(settings, executor, on_event) as runner:
-        from pcwlad_geo.registration import prove_pair  # slow to load
-        from pcwlad_geo.report.content import proof_numbers, to_json
-        from pcwlad_geo.report.page import proof_page
-
-        registration, proof = prove_pair(*inputs, settings, effort, on_event=on_event, runner=runner)
-        with folder.writing():
-            content = proof_numbers(registration, proof, sorted(PROOF_NAMES.values()))
-            texts = {"report": proof_page(registration, proof), "numbers": to_json(content)}
-            for kind, text in texts.items():
-                folder.path(PROOF_NAMES[kind]).write_text(text, encoding="utf-8", newline="")
-        check_unchanged(file.identity for file in registration.inputs)
-        folder.commit()
-    return proof
+    return receive

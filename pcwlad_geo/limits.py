@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 if sys.platform != "win32":
@@ -16,106 +17,121 @@ if sys.platform != "win32":
 
 from pcwlad_geo.errors import ExecutionError, InputError, SettingsError
 
-FILE_PX: Final = 2**36
-"""Largest number of pixels of a band of a file: a square of 262,144 px, six times the largest mosaics."""
-CHECKED_PX: Final = 2**28
-"""Number of pixels of a band above which it is checked that its files can hold them."""
-PX_PER_BYTE: Final = 2000
-"""Largest number of pixels of a band per byte of its files; Deflate packs at most 1,032 bytes into one."""
-MIN_STORED: Final = 1 / 128
-"""Least share of the blocks of a large TIFF that must be stored in the file; a sparse file is empty."""
-BLOCK_BYTES: Final = 2**30
-"""Largest size of an unpacked block (tile or strip), as GDAL holds at least one whole block in memory."""
-BANDS: Final = 4096
-"""Largest number of bands of a file, ten times that of imaging spectrometers."""
-ADDRESS_SPACE_BYTES: Final = 2**31
-"""Least address space of a process (`ulimit -v`), below which libraries fail when they are mapped."""
-COORDINATE: Final = 1e10
-"""Largest map coordinate, in map units; the circumference of the earth is 4e7 m or 1.3e8 feet."""
-PIXEL_SHARE: Final = 1e-11
-"""Least pixel size as a share of the map coordinates: a 64-bit number holds 16 digits, and a hundredth of a
-pixel must be resolved."""
-PIXEL_RATIO: Final = 1000.0
-"""Largest ratio of the pixel sizes of two rasters, beyond which they share no structure."""
-PIXEL_SHAPE: Final = 16.0
-"""Largest ratio of length to width of the pixels of one raster on the grid of the other."""
-GCP_MISFIT_SHARE: Final = 0.25
-"""Largest misfit of a geotransform at a control point, as a share of the image's longer side."""
-GRID_PX: Final = 2**34
-"""Largest number of pixels of an output grid: a square of 131,072 px."""
-GRID_SIDE_PX: Final = 2**20
-"""Largest number of columns or rows of an output grid, four times those of the widest mosaics."""
-OUTPUT_PIXEL_PX: Final = 1e4
-"""Largest side of a pixel of an output grid, in pixels of the target, all of which are weighted together."""
-CREATED_BLOCK_PX: Final = 8192
-"""Largest side of a block of a written file, as all bands of several blocks are held in memory at once."""
-GRID_TIMES: Final = 64
-"""Largest number of pixels of an output grid per pixel of the rasters from which it is made."""
-GRID_LEAST_PX: Final = 2**28
-"""Number of pixels that an output grid may always have, whatever it is made from."""
-UNREAD_PARTS: Final = 500
-"""Largest number of parts of a damaged file that are tried one by one."""
-SEARCH_RADIUS_PX: Final = 1024
-"""Largest search radius of the matching; every tile is read with a margin of this width."""
-SPACING_PX: Final = 10_000
-"""Largest side of a pixel of a displacement field, reference px."""
-TILE_PX: Final = 4096
-"""Largest side of a tile, whose maps take about 100 bytes per pixel."""
-FEATURES: Final = 100_000
-"""Largest number of candidates of a tile."""
-ITERATIONS: Final = 1000
-"""Largest number of steps of a refinement, which usually takes about ten."""
-JOBS: Final = 1024
-"""Largest number of workers."""
-SIGMA_PX: Final = (1e-4, 1e4)
-"""Least and largest sigma of a tie point of a file, px; 64-bit numbers cannot weigh others together."""
-POINTS: Final = 250_000
-"""Largest number of tie points of a file; all are held in memory and used in each fit."""
-AREAS: Final = 100_000
-"""Largest number of areas of a vector file around a raster; all are held in memory."""
-VERTICES: Final = 2**22
-"""Largest number of their vertices; detailed coasts of a continent have a million."""
-SEGMENTS: Final = 2**18
-"""Number of parts into which edges of areas are divided at most where they are curved on the raster."""
-READING_S: Final = 60.0
-"""Longest time, in seconds, in which a vector file or a database is read; real ones take less than one."""
-READING_BYTES: Final = 3 * 2**30
-"""Largest address space of the process that reads a vector file."""
-JSON_DEPTH: Final = 50
-"""Levels of objects and lists within each other in a JSON file; those of STAC have about ten."""
-JSON_DIGITS: Final = 300
-"""Largest number of digits of a whole number in a JSON file, which a float still holds."""
-TEXT_BYTES: Final = 2**26
-"""Largest size of an unpacked text file (table, side file, metadata of a product)."""
-XMP_BYTES: Final = 2**20
-"""Largest XMP packet of a raster that is parsed; those of cameras have some kB."""
-BATCH_ROWS: Final = 100_000
-"""Largest number of pairs of a batch table."""
-RIG_LENSES: Final = 16
-"""Largest number of lenses of a rig."""
-RIG_FRAMES: Final = 100_000
-"""Largest number of frames of a run of a rig."""
-TREND_FIGURES: Final = 100_000
-"""Largest number of pairs in the reports of a trend; each is drawn."""
-OPTIONS_BYTES: Final = 2**14
-"""Largest size of a file of options; reading TOML takes time with the cube of its nested names."""
-RPC_BYTES: Final = 2**16
-"""Largest size of an RPC file; real ones have about three kilobytes."""
-METADATA_BYTES: Final = 2**24
-"""Largest size of a product's metadata, unpacked; those of Sentinel-2 have about a megabyte, and XML takes up
-to 40 times its bytes once it is read."""
-VRT_BYTES: Final = 2**25
-"""Largest size of a VRT; mosaics of 10,000 tiles have a few megabytes."""
-MEMBERS: Final = 100_000
-"""Largest number of files in an archive or a folder of a product."""
-UNPACKED_BYTES: Final = 2**30
-"""Unpacked size that any archive may have, whatever its packed size."""
-UNPACKED_RATIO: Final = 200
-"""Largest ratio of unpacked to packed size of a larger archive; images have two or three."""
-NAME_BYTES: Final = 255
-"""Largest length of the name of a file or folder on all common file systems."""
-LATITUDE: Final = 90.0
-"""Largest latitude in degrees; a pixel may be centred on the pole."""
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The limits, each with the reason for it."""
+
+    file_px: int = 2**36
+    """Largest number of pixels of a band of a file: a square of 262,144 px, six times the largest mosaics."""
+    checked_px: int = 2**28
+    """Number of pixels of a band above which it is checked that its files can hold them."""
+    px_per_byte: int = 2000
+    """Largest number of pixels of a band per byte of its files; Deflate packs at most 1,032 bytes into
+    one."""
+    min_stored: float = 1 / 128
+    """Least share of the blocks of a large TIFF that must be stored in the file; a sparse file is empty."""
+    block_bytes: int = 2**30
+    """Largest size of an unpacked block (tile or strip), as GDAL holds at least one whole block in memory."""
+    bands: int = 4096
+    """Largest number of bands of a file, ten times that of imaging spectrometers."""
+    address_space_bytes: int = 2**31
+    """Least address space of a process (`ulimit -v`), below which libraries fail when they are mapped."""
+    coordinate: float = 1e10
+    """Largest map coordinate, in map units; the circumference of the earth is 4e7 m or 1.3e8 feet."""
+    pixel_share: float = 1e-11
+    """Least pixel size as a share of the map coordinates: a 64-bit number holds 16 digits, and a hundredth of
+    a pixel must be resolved."""
+    pixel_ratio: float = 1000.0
+    """Largest ratio of the pixel sizes of two rasters, beyond which they share no structure."""
+    pixel_shape: float = 16.0
+    """Largest ratio of length to width of the pixels of one raster on the grid of the other."""
+    gcp_misfit_share: float = 0.25
+    """Largest misfit of a geotransform at a control point, as a share of the image's longer side."""
+    grid_px: int = 2**34
+    """Largest number of pixels of an output grid: a square of 131,072 px."""
+    grid_side_px: int = 2**20
+    """Largest number of columns or rows of an output grid, four times those of the widest mosaics."""
+    output_pixel_px: float = 1e4
+    """Largest side of a pixel of an output grid, in pixels of the target, all of which are weighted
+    together."""
+    created_block_px: int = 8192
+    """Largest side of a block of a written file, as all bands of several blocks are held in memory at
+    once."""
+    grid_times: int = 64
+    """Largest number of pixels of an output grid per pixel of the rasters from which it is made."""
+    grid_least_px: int = 2**28
+    """Number of pixels that an output grid may always have, whatever it is made from."""
+    unread_parts: int = 500
+    """Largest number of parts of a damaged file that are tried one by one."""
+    search_radius_px: int = 1024
+    """Largest search radius of the matching; every tile is read with a margin of this width."""
+    spacing_px: int = 10_000
+    """Largest side of a pixel of a displacement field, reference px."""
+    tile_px: int = 4096
+    """Largest side of a tile, whose maps take about 100 bytes per pixel."""
+    features: int = 100_000
+    """Largest number of candidates of a tile."""
+    iterations: int = 1000
+    """Largest number of steps of a refinement, which usually takes about ten."""
+    jobs: int = 1024
+    """Largest number of workers."""
+    sigma_px: tuple[float, float] = (1e-4, 1e4)
+    """Least and largest sigma of a tie point of a file, px; 64-bit numbers cannot weigh others together."""
+    points: int = 250_000
+    """Largest number of tie points of a file; all are held in memory and used in each fit."""
+    areas: int = 100_000
+    """Largest number of areas of a vector file around a raster; all are held in memory."""
+    vertices: int = 2**22
+    """Largest number of their vertices; detailed coasts of a continent have a million."""
+    segments: int = 2**18
+    """Number of parts into which edges of areas are divided at most where they are curved on the raster."""
+    reading_s: float = 60.0
+    """Longest time, in seconds, in which a vector file or a database is read; real ones take less than
+    one."""
+    reading_bytes: int = 3 * 2**30
+    """Largest address space of the process that reads a vector file."""
+    json_depth: int = 50
+    """Levels of objects and lists within each other in a JSON file; those of STAC have about ten."""
+    json_digits: int = 300
+    """Largest number of digits of a whole number in a JSON file, which a float still holds."""
+    text_bytes: int = 2**26
+    """Largest size of an unpacked text file (table, side file, metadata of a product)."""
+    xmp_bytes: int = 2**20
+    """Largest XMP packet of a raster that is parsed; those of cameras have some kB."""
+    batch_rows: int = 100_000
+    """Largest number of pairs of a batch table."""
+    rig_lenses: int = 16
+    """Largest number of lenses of a rig."""
+    rig_frames: int = 100_000
+    """Largest number of frames of a run of a rig."""
+    trend_figures: int = 100_000
+    """Largest number of pairs in the reports of a trend; each is drawn."""
+    options_bytes: int = 2**14
+    """Largest size of a file of options; reading TOML takes time with the cube of its nested names."""
+    rpc_bytes: int = 2**16
+    """Largest size of an RPC file; real ones have about three kilobytes."""
+    metadata_bytes: int = 2**24
+    """Largest size of a product's metadata, unpacked; those of Sentinel-2 have about a megabyte, and XML
+    takes up to 40 times its bytes once it is read."""
+    vrt_bytes: int = 2**25
+    """Largest size of a VRT; mosaics of 10,000 tiles have a few megabytes."""
+    members: int = 100_000
+    """Largest number of files in an archive or a folder of a product."""
+    unpacked_bytes: int = 2**30
+    """Unpacked size that any archive may have, whatever its packed size."""
+    unpacked_ratio: int = 200
+    """Largest ratio of unpacked to packed size of a larger archive; images have two or three."""
+    name_bytes: int = 255
+    """Largest length of the name of a file or folder on all common file systems."""
+    latitude: float = 90.0
+    """Largest latitude in degrees; a pixel may be centred on the pole."""
+    rpc_coefficient: float = 1e6
+    """Largest absolute value of the coefficients of an RPC, which apply to normalised coordinates."""
+
+
+LIMITS: Final = Limits()
+"""Those of all jobs."""
 RPC_LIMITS: Final = {
     **dict.fromkeys(("line_off", "samp_off", "line_scale", "samp_scale"), 1e7),
     **dict.fromkeys(("lat_off", "lat_scale"), 90.0),
@@ -123,68 +139,66 @@ RPC_LIMITS: Final = {
     **dict.fromkeys(("height_off", "height_scale"), 2e4),
 }
 """Largest absolute values of the offsets and scales of an RPC, in pixels, degrees or metres."""
-RPC_COEFFICIENT: Final = 1e6
-"""Largest absolute value of the coefficients of an RPC, which apply to normalised coordinates."""
 
 
 def check_address_space() -> None:
-    """Raise `ExecutionError` if the process may use less than `ADDRESS_SPACE_BYTES` of address space."""
+    """Raise `ExecutionError` if the process may use less than `address_space_bytes` of address space."""
     if sys.platform == "win32":  # has no such limit
         return
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if most != resource.RLIM_INFINITY and most < ADDRESS_SPACE_BYTES:
+    if most != resource.RLIM_INFINITY and most < LIMITS.address_space_bytes:
         raise ExecutionError(
             f"the process may use {most / 2**30:.2g} GiB of address space, and at least "
-            f"{ADDRESS_SPACE_BYTES / 2**30:.0f} GiB of memory are needed: raise its limit (ulimit -v)"
+            f"{LIMITS.address_space_bytes / 2**30:.0f} GiB of memory are needed: raise its limit (ulimit -v)"
         )
 
 
 def check_shape(uri: str, shape: tuple[int, int], bands: int) -> None:
-    """Raise `InputError` if a raster has more than `FILE_PX` pixels or `BANDS` bands.
+    """Raise `InputError` if a raster has more than `file_px` pixels or `bands` bands.
 
     `uri` is the raster's name for the message, as in all checks; `shape` is (rows, columns).
     """
     rows, cols = shape
-    if rows * cols > FILE_PX:
+    if rows * cols > LIMITS.file_px:
         raise InputError(
-            f"{uri} declares {cols} x {rows} pixels, and at most {FILE_PX} are read: it "
+            f"{uri} declares {cols} x {rows} pixels, and at most {LIMITS.file_px} are read: it "
             "may be damaged; crop it"
         )
-    if bands > BANDS:
+    if bands > LIMITS.bands:
         raise InputError(
-            f"{uri} declares {bands} bands, and at most {BANDS} are read: it may be damaged; extract the "
-            "bands that are needed (gdal_translate -b)"
+            f"{uri} declares {bands} bands, and at most {LIMITS.bands} are read: it may be damaged; "
+            "extract the bands that are needed (gdal_translate -b)"
         )
 
 
 def check_stored(uri: str, shape: tuple[int, int], file_bytes: int) -> None:
     """Raise `InputError` if a raster of `shape` (rows, columns) has too few `file_bytes`.
 
-    These are fewer than one for `PX_PER_BYTE` pixels, where there are more than `CHECKED_PX` pixels.
+    These are fewer than one for `px_per_byte` pixels, where there are more than `checked_px` pixels.
     """
     rows, cols = shape
-    if rows * cols > CHECKED_PX and rows * cols > PX_PER_BYTE * file_bytes:
+    if rows * cols > LIMITS.checked_px and rows * cols > LIMITS.px_per_byte * file_bytes:
         raise InputError(
             f"{uri} declares {cols} x {rows} pixels and has {file_bytes} bytes, less than one for "
-            f"{PX_PER_BYTE} pixels: it is empty or damaged; crop it to where it holds data"
+            f"{LIMITS.px_per_byte} pixels: it is empty or damaged; crop it to where it holds data"
         )
 
 
 def check_block(uri: str, shape: tuple[int, int], bytes_per_px: int) -> None:
-    """Raise `InputError` if a block of `shape` (rows, columns), all bands, is larger than `BLOCK_BYTES`."""
+    """Raise `InputError` if a block of `shape` (rows, columns), all bands, is larger than `block_bytes`."""
     rows, cols = shape
-    if rows * cols * bytes_per_px > BLOCK_BYTES:
+    if rows * cols * bytes_per_px > LIMITS.block_bytes:
         raise InputError(
             f"{uri} is stored in blocks of {cols} x {rows} pixels, {rows * cols * bytes_per_px} bytes "
-            f"each, and at most {BLOCK_BYTES} are read at once: it may be damaged; tile it "
+            f"each, and at most {LIMITS.block_bytes} are read at once: it may be damaged; tile it "
             "(gdal_translate -co TILED=YES)"
         )
 
 
 def check_geotransform(uri: str, numbers: Sequence[float], shape: tuple[int, int]) -> None:
-    """Raise `InputError` if a geotransform leads beyond `COORDINATE`, or its pixels are too small for that.
+    """Raise `InputError` if a geotransform leads beyond `coordinate`, or its pixels are too small for that.
 
-    These are smaller than `PIXEL_SHARE` of the coordinates. The `numbers` a to f mean x = a col + b row + c,
+    These are smaller than `pixel_share` of the coordinates. The `numbers` a to f mean x = a col + b row + c,
     y = d col + e row + f; `shape` is (rows, columns).
     """
     a, b, c, d, e, f = numbers
@@ -192,12 +206,12 @@ def check_geotransform(uri: str, numbers: Sequence[float], shape: tuple[int, int
     reach = (abs(c) + abs(a) * cols + abs(b) * rows, abs(f) + abs(d) * cols + abs(e) * rows)
     least = min(math.hypot(a, d), math.hypot(b, e))
     advice = "correct the geotransform (gdal_edit.py -a_ullr)"
-    if not all(far <= COORDINATE for far in reach):  # NaN is not
+    if not all(extreme <= LIMITS.coordinate for extreme in reach):  # NaN is not
         raise InputError(
-            f"{uri} has map coordinates up to {max(reach):.3g}, and at most {COORDINATE:.0e} are read: "
-            f"{advice}"
+            f"{uri} has map coordinates up to {max(reach):.3g}, and at most {LIMITS.coordinate:.0e} "
+            f"are read: {advice}"
         )
-    if not least >= PIXEL_SHARE * max(abs(c), abs(f)):
+    if not least >= LIMITS.pixel_share * max(abs(c), abs(f)):
         raise InputError(
             f"{uri} has pixels of {least:.3g} map units at coordinates of {max(abs(c), abs(f)):.7g}, which "
             f"64-bit numbers cannot tell apart: {advice}"
@@ -205,18 +219,18 @@ def check_geotransform(uri: str, numbers: Sequence[float], shape: tuple[int, int
 
 
 def check_coordinates(uri: str, values: Sequence[float]) -> None:
-    """Raise `InputError` if one of the coordinates `values` of the file `uri` is beyond `COORDINATE`."""
-    far = next((value for value in values if not abs(value) <= COORDINATE), None)
-    if far is not None:
+    """Raise `InputError` if one of the coordinates `values` of the file `uri` is beyond `coordinate`."""
+    beyond = next((value for value in values if not abs(value) <= LIMITS.coordinate), None)
+    if beyond is not None:
         raise InputError(
-            f"{uri} has a point with the coordinate {far:.3g}, and at most {COORDINATE:.0e} is read: remove "
-            "it"
+            f"{uri} has a point with the coordinate {beyond:.3g}, and at most "
+            f"{LIMITS.coordinate:.0e} is read: remove it"
         )
 
 
 def check_latitudes(uri: str, lowest: float, highest: float, pixel: float) -> None:
-    """Raise `InputError` if `lowest` or `highest`, degrees, is beyond `LATITUDE` plus the size `pixel`."""
-    if lowest < -LATITUDE - pixel or highest > LATITUDE + pixel:
+    """Raise `InputError` if `lowest` or `highest`, degrees, is beyond `latitude` plus the size `pixel`."""
+    if lowest < -LIMITS.latitude - pixel or highest > LIMITS.latitude + pixel:
         raise InputError(
             f"{uri} covers latitudes from {lowest:.10g} to {highest:.10g} degrees, and there are none beyond "
             "90: correct its geotransform or its CRS (x is the longitude, y the latitude)"
@@ -224,7 +238,7 @@ def check_latitudes(uri: str, lowest: float, highest: float, pixel: float) -> No
 
 
 def check_pixel_ratio(reference: str, target: str, step_px: Sequence[float]) -> None:
-    """Raise `InputError` if two rasters' pixels differ by more than `PIXEL_RATIO`, or `PIXEL_SHAPE`.
+    """Raise `InputError` if two rasters' pixels differ by more than `pixel_ratio`, or `pixel_shape`.
 
     `step_px` are the pixels of one raster along the columns and the rows of the other.
     """
@@ -232,71 +246,73 @@ def check_pixel_ratio(reference: str, target: str, step_px: Sequence[float]) -> 
     if not (math.isfinite(high) and low > 0):
         return  # one raster does not lie in the other's CRS, which is reported elsewhere
     ratio = max(high, 1 / low)
-    if ratio > PIXEL_RATIO:
+    if ratio > LIMITS.pixel_ratio:
         raise InputError(
             f"a pixel of {reference} and one of {target} differ {ratio:.3g} times in size, and at most "
-            f"{PIXEL_RATIO:.0f} times can be matched: check both geotransforms, or resample the finer raster"
+            f"{LIMITS.pixel_ratio:.0f} times can be matched: check both geotransforms, or resample "
+            "the finer raster"
         )
-    if high / low > PIXEL_SHAPE:
+    if high / low > LIMITS.pixel_shape:
         raise InputError(
             f"the pixels of {reference} and {target} differ {high / low:.3g} times in their shape (width to "
-            f"height), and at most {PIXEL_SHAPE:.0f} times can be matched: check both geotransforms"
+            f"height), and at most {LIMITS.pixel_shape:.0f} times can be matched: check both geotransforms"
         )
 
 
 def check_gcp_misfit(uri: str, misfit_px: float, shape: tuple[int, int]) -> None:
     """Raise `InputError` if a geotransform misses control points by `misfit_px`, which is too much.
 
-    That is more than `GCP_MISFIT_SHARE` of the longer side of `shape`.
+    That is more than `gcp_misfit_share` of the longer side of `shape`.
     """
-    if not misfit_px <= GCP_MISFIT_SHARE * max(shape):
+    if not misfit_px <= LIMITS.gcp_misfit_share * max(shape):
         raise InputError(
             f"{uri} has ground control points that a geotransform misses by up to {misfit_px:.3g} px, more "
-            f"than {GCP_MISFIT_SHARE:.0%} of its longer side: one of them is wrong; remove it"
+            f"than {LIMITS.gcp_misfit_share:.0%} of its longer side: one of them is wrong; remove it"
         )
 
 
 def check_grid(what: str, counts: Sequence[float], source_px: float | None = None) -> None:
     """Raise `InputError` if an output grid, `what` in the message, would have too many pixels.
 
-    These are more than `GRID_PX`, than `GRID_SIDE_PX` a side, or than `GRID_TIMES` the `source_px` from
-    which it is made (at least `GRID_LEAST_PX`). `counts` are its columns and rows.
+    These are more than `grid_px`, than `grid_side_px` a side, or than `grid_times` the `source_px` from
+    which it is made (at least `grid_least_px`). `counts` are its columns and rows.
     """
-    most = float(GRID_PX)
+    most = float(LIMITS.grid_px)
     if source_px is not None:
-        most = min(most, max(GRID_TIMES * source_px, GRID_LEAST_PX))
+        most = min(most, max(LIMITS.grid_times * source_px, LIMITS.grid_least_px))
     cols, rows = counts
     if not cols * rows <= most:
         raise InputError(
             f"{what} would have {cols:.6g} x {rows:.6g} pixels, and at most {most:.0f} are made from these "
             "rasters: check their georeferencing, --te and --tr"
         )
-    if not max(cols, rows) <= GRID_SIDE_PX:
+    if not max(cols, rows) <= LIMITS.grid_side_px:
         raise InputError(
-            f"{what} would have {cols:.6g} x {rows:.6g} pixels, and at most {GRID_SIDE_PX} a side are made: "
-            "check their georeferencing, --te and --tr"
+            f"{what} would have {cols:.6g} x {rows:.6g} pixels, and at most {LIMITS.grid_side_px} a "
+            "side are made: check their georeferencing, --te and --tr"
         )
 
 
 def check_output_pixel(step_px: Sequence[float]) -> None:
-    """Raise `InputError` if a side of an output pixel is longer than `OUTPUT_PIXEL_PX` target pixels.
+    """Raise `InputError` if a side of an output pixel is longer than `output_pixel_px` target pixels.
 
     `step_px` are the lengths of the two principal axes of a target pixel, in pixels of the output.
     """
     least = min(step_px)
-    if math.isfinite(least) and not least * OUTPUT_PIXEL_PX >= 1:
+    if math.isfinite(least) and not least * LIMITS.output_pixel_px >= 1:
         raise InputError(
             f"a pixel of the output grid is {1 / max(least, 1e-300):.3g} pixels of the target long, and "
-            f"at most {OUTPUT_PIXEL_PX:.0f} are weighed together: check --tr, --like and the georeferencing"
+            f"at most {LIMITS.output_pixel_px:.0f} are weighed together: check --tr, --like and the "
+            "georeferencing"
         )
 
 
 def check_created_block(key: str, value: str) -> None:
-    """Raise `SettingsError` if the creation option `key` is no number from 1 to `CREATED_BLOCK_PX`."""
-    if not (value.isascii() and value.isdigit() and 1 <= int(value[:10]) <= CREATED_BLOCK_PX):
+    """Raise `SettingsError` if the creation option `key` is no number from 1 to `created_block_px`."""
+    if not (value.isascii() and value.isdigit() and 1 <= int(value[:10]) <= LIMITS.created_block_px):
         raise SettingsError(
-            f"co = {key}={value[:20]}: blocks have from 1 to {CREATED_BLOCK_PX} px a side, and GDAL allows "
-            "multiples of 16 only for tiles: give such a number"
+            f"co = {key}={value[:20]}: blocks have from 1 to {LIMITS.created_block_px} px a side, "
+            "and GDAL allows multiples of 16 only for tiles: give such a number"
         )
 
 
@@ -309,18 +325,20 @@ def check_count(where: str, count: int, most: int, things: str) -> None:
 def check_unpacked(archive: str, unpacked: int, packed: int) -> None:
     """Raise `InputError` if an archive of `packed` bytes has too many `unpacked` ones.
 
-    These are more than `UNPACKED_BYTES` and more than `UNPACKED_RATIO` times as many.
+    These are more than `unpacked_bytes` and more than `unpacked_ratio` times as many.
     """
-    if unpacked > max(UNPACKED_BYTES, UNPACKED_RATIO * packed):
+    if unpacked > max(LIMITS.unpacked_bytes, LIMITS.unpacked_ratio * packed):
         raise InputError(
-            f"{archive} has {packed} bytes and unpacks to {unpacked}, and at most {UNPACKED_RATIO} times its "
-            f"size are read beyond {UNPACKED_BYTES}: get it again, or unpack it yourself if you trust it"
+            f"{archive} has {packed} bytes and unpacks to {unpacked}, and at most "
+            f"{LIMITS.unpacked_ratio} times its "
+            f"size are read beyond {LIMITS.unpacked_bytes}: get it again, or unpack it yourself if "
+            "you trust it"
         )
 
 
 def check_rpc(origin: str, name: str, value: float) -> None:
     """Raise `InputError` if the number `name` of the RPC in `origin` is beyond what any image has."""
-    most = RPC_LIMITS.get(name, RPC_COEFFICIENT)
+    most = RPC_LIMITS.get(name, LIMITS.rpc_coefficient)
     if not abs(value) <= most:
         raise InputError(
             f"the RPC in {origin} has {name.upper()} = {value:.6g}, and at most {most:.6g} makes sense: get "

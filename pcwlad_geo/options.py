@@ -1,4 +1,4 @@
-"""All options of a job in one frozen dataclass, and their values as text."""
+"""All options of a job, declared once, in one frozen dataclass."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Any, Final, Literal, TypedDict, TypeVar, cast, get_args, get_
 
 from pcwlad_geo.arguments import described, fits, shown
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.limits import FEATURES, ITERATIONS, JOBS, POINTS, SEARCH_RADIUS_PX, SPACING_PX, TILE_PX
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.matching import AUTO_FEATURES, Consensus, Keypoints, Method
-from pcwlad_geo.raster.trust.permissions import Trust
+from pcwlad_geo.raster import Trust
 
 Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
 Prealign = Literal["auto", "georef", "search", "none"]
@@ -22,36 +22,6 @@ Geometry = Literal["auto", "planar", "epipolar"]
 OutputGrid = Literal["reference", "reference-exact", "target"]
 DisplacementUnit = Literal["px", "m"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
-FILE_OPTIONS = ("ref_mask", "tgt_mask", "aoi", "exclude", "tie_points", "dem", "dem_vertical", "like")
-"""Options whose value is, or may be, a file."""
-OUTPUT_OPTIONS = ("output_raster", "output_tiepoints", "output_report", "output_points")
-"""Options with paths of single outputs; `match` has no raster."""
-BAND_NAME = re.compile(r"[A-Za-z]\w*$")
-"""Pattern of the name of a band of a product."""
-_NUMBERS: Final = r"\d{1,5}(-\d{1,5})?(,\d{1,5}(-\d{1,5})?)*"
-_NAMES: Final = r"[A-Za-z]\w*(,[A-Za-z]\w*)*"
-BANDS = re.compile(rf"(pca:)?({_NUMBERS}|{_NAMES})$")
-"""Pattern of bands: numbers and ranges, or names, and pca of these or alone."""
-FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
-"""Pattern of the name of a function and its module."""
-
-
-_REGISTER: Final = ("register",)
-_PAIR: Final = ("register", "match", "prove")
-_PLACED: Final = (*_PAIR, "stack")
-_REPORTING: Final = ("register", "match", "qa")
-_PROVING: Final = (*_REPORTING, "stack")
-_MATCHING: Final = (*_PROVING, "prove")
-_CORRECTING: Final = ("register", "stack")
-_WARPING: Final = ("register", "warp")
-_KEEPING: Final = ("register", "batch", "stack")
-_TABLES_TOO: Final = ("register", "match", "batch", "stack")
-_RUNNERS: Final = ("register", "match", "qa", "batch", "stack", "watch", "rig", "prove")
-_EVERYWHERE: Final = (*_RUNNERS, "warp", "edit")
-_NOWHERE: Final = ()
-# The commands that take an option; those of _NOWHERE are for Python, TOML files and tables alone.
-
-
 Check = tuple[Callable[[Any], bool], str]
 
 
@@ -82,10 +52,36 @@ def _box_in(place: str) -> Check:
     )
 
 
+FILE_OPTIONS = ("ref_mask", "tgt_mask", "aoi", "exclude", "tie_points", "dem", "dem_vertical", "like")
+"""Options whose value is, or may be, a file."""
+OUTPUT_OPTIONS = ("output_raster", "output_tiepoints", "output_report", "output_points")
+"""Options with paths of single outputs; `match` has no raster."""
+BAND_NAME = re.compile(r"[A-Za-z]\w*$")
+"""Pattern of the name of a band of a product."""
+_BAND_NUMBERS: Final = r"\d{1,5}(-\d{1,5})?(,\d{1,5}(-\d{1,5})?)*"
+_BAND_NAMES: Final = r"[A-Za-z]\w*(,[A-Za-z]\w*)*"
+BAND_PATTERN = re.compile(rf"(pca:)?({_BAND_NUMBERS}|{_BAND_NAMES})$")
+"""Pattern of bands: numbers and ranges, or names, and pca of these or alone."""
+FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
+"""Pattern of the name of a function and its module."""
+_REGISTER: Final = ("register",)
+_PAIR: Final = ("register", "match", "prove")
+_PLACED: Final = (*_PAIR, "stack")
+_REPORTING: Final = ("register", "match", "qa")
+_PROVING: Final = (*_REPORTING, "stack")
+_MATCHING: Final = (*_PROVING, "prove")
+_CORRECTING: Final = ("register", "stack")
+_WARPING: Final = ("register", "warp")
+_KEEPING: Final = ("register", "batch", "stack")
+_TABLES_TOO: Final = ("register", "match", "batch", "stack")
+_RUNNERS: Final = ("register", "match", "qa", "batch", "stack", "watch", "rig", "prove")
+_EVERYWHERE: Final = (*_RUNNERS, "warp", "edit")
+_NO_COMMAND: Final = ()
+# The commands that take an option; those of _NO_COMMAND are for Python, TOML files and tables alone.
 _BAND: Final[Check] = (
     lambda value: (
         (_is_whole(value) and 1 <= value < 100_000)
-        or (isinstance(value, str) and not value.isdecimal() and bool(BANDS.match(value)))
+        or (isinstance(value, str) and not value.isdecimal() and bool(BAND_PATTERN.match(value)))
     ),
     "a whole number from 1, or the name of a product's band; several such as 2,3,5-9; pca or pca:2,3,4",
 )
@@ -136,9 +132,9 @@ class Option:
 T = TypeVar("T")
 
 
-def option(default: T, text: str, commands: tuple[str, ...], **others: Any) -> T:  # noqa: ANN401
+def option(default: T, text: str, commands: tuple[str, ...], **attributes: Any) -> T:  # noqa: ANN401
     """Return a field of `Settings`: its default, help and commands, and the other fields of `Option`."""
-    return field(default=default, metadata={"option": Option(text, commands, **others)})
+    return field(default=default, metadata={"option": Option(text, commands, **attributes)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +199,7 @@ class Settings:
         metavar="N|all|dense|auto",
         none_word="auto",
         least=1,
-        most=POINTS,
+        most=LIMITS.points,
     )
     """Most tie points to keep, spread evenly; None = about 1000 of a scene of several tiles, else all;
     dense = all, of one candidate for every square of a quarter of the window."""
@@ -214,7 +210,7 @@ class Settings:
         metavar="N|auto",
         none_word="auto",
         least=1,
-        most=FEATURES,
+        most=LIMITS.features,
     )
     """Candidates a tile; None = auto: as many as the ground of a small image can tell, and up to 1000 where
     the first of them do not agree."""
@@ -241,12 +237,12 @@ class Settings:
         metavar="PX|auto",
         none_word="auto",
         least=1,
-        most=SEARCH_RADIUS_PX,
+        most=LIMITS.search_radius_px,
     )
     ssim_min: float = option(0.0, "Least SSIM of a coarse match.", _MATCHING, metavar="X", check=_SSIM)
     """Least SSIM of a coarse match (0.4 in the paper; the method pcwlad uses it as its gate)."""
     iterations: int = option(
-        20, "Most refinement iterations.", _MATCHING, metavar="N", least=1, most=ITERATIONS
+        20, "Most refinement iterations.", _MATCHING, metavar="N", least=1, most=LIMITS.iterations
     )
     consensus: Consensus = option(
         "auto", "Second pass that uses the neighbours, where the displacement is smooth.", _MATCHING
@@ -335,7 +331,7 @@ class Settings:
         metavar="PX|auto",
         none_word="auto",
         least=1,
-        most=SPACING_PX,
+        most=LIMITS.spacing_px,
     )
     displacement_unit: DisplacementUnit = option(
         "px", "Unit of the displacement field: target px, or metres.", _REGISTER
@@ -376,10 +372,10 @@ class Settings:
     tile_size: int = option(
         1024,
         "Core of a tile, matching-grid px (without its halo).",
-        _NOWHERE,
+        _NO_COMMAND,
         metavar="PX",
         least=128,
-        most=TILE_PX,
+        most=LIMITS.tile_px,
     )
     jobs: int | None = option(
         None,
@@ -388,7 +384,7 @@ class Settings:
         metavar="N|all",
         none_word="all",
         least=1,
-        most=JOBS,
+        most=LIMITS.jobs,
     )
     scheduler: str | None = option(
         None, "Run the tiles on a dask cluster, tcp://host:port.", _RUNNERS, metavar="ADDRESS", check=_ADDRESS
@@ -414,8 +410,8 @@ class Settings:
     @property
     def files(self) -> tuple[Path | str, ...]:
         """Files and GDAL URIs that the job reads in addition to the two rasters."""
-        given = (getattr(self, name) for name in FILE_OPTIONS)
-        return tuple(file for file in given if isinstance(file, Path | str))
+        files = (getattr(self, name) for name in FILE_OPTIONS)
+        return tuple(file for file in files if isinstance(file, Path | str))
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Settings:
@@ -426,27 +422,27 @@ class Settings:
         SettingsError
             If a name is unknown or a value is invalid.
         """
-        known = {field.name for field in fields(cls)}
+        names = {field.name for field in fields(cls)}
         for name in options:
-            if name not in known:
-                raise SettingsError(f"unknown option '{name}'; the options are {', '.join(sorted(known))}")
+            if name not in names:
+                raise SettingsError(f"unknown option '{name}'; the options are {', '.join(sorted(names))}")
         return cls(**options)  # type: ignore[arg-type]  # names checked above, values in __post_init__
 
 
 def _check(name: str, value: object) -> None:
     """Raise `SettingsError` if an option cannot have a value, by its type, range and check."""
-    option, hint = OPTIONS[name], _HINTS[name]
+    option, hint = OPTIONS[name], HINTS[name]
     if option.most is not None:
-        good, wanted = _number_allowed(value, option)
+        good, expected = _number_allowed(value, option)
     elif hint is bool:
-        good, wanted = isinstance(value, bool), "true or false"
+        good, expected = isinstance(value, bool), "true or false"
     elif get_origin(hint) is Literal:
-        good, wanted = fits(value, hint), "one of " + ", ".join(get_args(hint))
+        good, expected = fits(value, hint), "one of " + ", ".join(get_args(hint))
     else:
-        allows, wanted = option.check or (lambda _: fits(value, hint), described(hint))
+        allows, expected = option.check or (lambda _: fits(value, hint), described(hint))
         good = (value is None and type(None) in get_args(hint)) or allows(value)
     if not good:
-        raise SettingsError(f"{name} = {shown(value)}: give {wanted}")
+        raise SettingsError(f"{name} = {shown(value)}: give {expected}")
 
 
 def _check_together(settings: Settings) -> None:
@@ -567,83 +563,9 @@ RUNNING: Final = ("jobs", "scheduler", "allow_remote", "trust_vrt")
 """Those that say where a job runs and what it may open: its result does not depend on them."""
 NOT_IN_TABLES: Final = (*RUNNING, "start_matcher")
 """Those that a table of pairs, which may be a stranger's, cannot set."""
-_HINTS: Final = get_type_hints(Settings)
-OPTIONS: Final[dict[str, Option]] = {each.name: each.metadata["option"] for each in fields(Settings)}
+HINTS: Final = get_type_hints(Settings)
+"""Types of the fields of `Settings`, by name."""
+OPTIONS: Final[dict[str, Option]] = {field.name: field.metadata["option"] for field in fields(Settings)}
 """What there is to know of each option, by its name."""
 WORDS: Final = {name: option.none_word for name, option in OPTIONS.items() if option.none_word is not None}
 """How None is spelled where it is a choice of its own."""
-
-
-def to_setting(name: str, value: object) -> object:
-    """Convert `value`, a text or not, to the type of the field `name` of `Settings`.
-
-    Raises `SettingsError` if it cannot be converted.
-    """
-    hint = _HINTS[name]
-    kinds = set(get_args(hint)) | {hint}
-    words = [word for kind in kinds - {hint} if get_origin(kind) is Literal for word in get_args(kind)]
-    if name in WORDS and value == WORDS[name]:
-        return None
-    if any(get_origin(kind) is tuple for kind in kinds):
-        return _several(name, value)
-    if value in words or Sequence[str] in kinds:  # `Settings` converts the latter
-        return value
-    if bool in kinds and isinstance(value, str):
-        return {"true": True, "false": False}.get(value.lower(), value)  # `Settings` refuses others
-    if bool in kinds:
-        return value
-    if {float, Path} <= kinds:
-        return _number_or_path(name, value)
-    if Path in kinds:
-        return _path(name, value)
-    if {int, str} <= kinds and isinstance(value, str) and not value.strip().isdecimal():
-        text = value.replace(" ", "")
-        if BANDS.match(text):
-            return text
-    if int in kinds:
-        words += [WORDS[name]] if name in WORDS else []
-        return _number(name, value, int, " or ".join(["a whole number", *(f"'{word}'" for word in words)]))
-    if float in kinds:
-        return _number(name, value, float, "a number")
-    return _text(name, value, "text")
-
-
-def _number(name: str, value: object, kind: type[int] | type[float], wanted: str) -> object:
-    accepted = (str, int) if kind is int else (str, int, float)
-    try:
-        if isinstance(value, accepted) and not isinstance(value, bool):
-            return kind(value)
-    except (ValueError, OverflowError):  # not a number, or an integer of hundreds of digits
-        pass
-    raise SettingsError(f"{name} = {value!r}: give {wanted}")
-
-
-def _several(name: str, value: object) -> tuple[object, ...]:
-    """Return values that are separated by blanks in a text: creation options, or numbers."""
-    values = value.split() if isinstance(value, str) else value
-    if not isinstance(values, list | tuple):
-        raise SettingsError(f"{name} = {value!r}: give a list, or values separated by blanks")
-    if name == "co":
-        return tuple(_text(name, each, "KEY=VALUE") for each in values)
-    return tuple(_number(name, each, float, "numbers") for each in values)
-
-
-def _number_or_path(name: str, value: object) -> object:
-    try:
-        return value if isinstance(value, Path) else _number(name, value, float, "a number or a file name")
-    except SettingsError:
-        if isinstance(value, str):
-            return _path(name, value)
-        raise
-
-
-def _path(name: str, value: object) -> Path | str:
-    if isinstance(value, str) and (value.startswith("/vsi") or "://" in value):
-        return value  # a Path would merge the slashes of a GDAL URI
-    return value if isinstance(value, Path) else Path(_text(name, value, "a file name"))
-
-
-def _text(name: str, value: object, wanted: str) -> str:
-    if not isinstance(value, str):
-        raise SettingsError(f"{name} = {value!r}: give {wanted}")
-    return value

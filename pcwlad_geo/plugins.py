@@ -93,12 +93,12 @@ def _plugins(group: str) -> tuple[Plugin, ...]:
     """Load the entry points of a group; the value of one that cannot be loaded is its exception."""
     from importlib.metadata import entry_points  # slow to load, and most runs have it from elsewhere
 
-    found = []
+    plugins = []
     for point in sorted(entry_points(group=group)):
         package = point.dist.name if point.dist else "an unknown package"
         try:
             value = point.load()
         except Exception as error:
             value = error
-        found.append(Plugin(f"{point.name} of the package {package} (entry point {group})", value))
-    return tuple(found)
+        plugins.append(Plugin(f"{point.name} of the package {package} (entry point {group})", value))
+    return tuple(plugins)

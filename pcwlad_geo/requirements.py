@@ -74,8 +74,8 @@ _SIGNS: Final[dict[str, Sign]] = {
     ">=": ">=", "=>": ">=", ">": ">=", "≥": ">=",
     "=": "=", "==": "=",
 }  # fmt: skip
-_NUMBER: Final = re.compile(r"(?P<number>[0-9.eE+-]+)\s*(?P<unit>.*)", re.DOTALL)
-_UNITS: Final[dict[str, Unit]] = {
+_LIMIT: Final = re.compile(r"(?P<number>[0-9.eE+-]+)\s*(?P<unit>.*)", re.DOTALL)
+_UNIT_OF: Final[dict[str, Unit]] = {
     "px": "px", "pixel": "px", "pixels": "px",
     "native px": "native px", "nativepx": "native px",
     "m": "m", "metres": "m", "meters": "m",
@@ -111,10 +111,10 @@ class Requirement:
         if isinstance(self.limit, str) or isinstance(value, str):
             words = _QUANTITIES[self.statistic.casefold()].words
             ranks = {word: float(rank) for rank, word in enumerate(words)}
-            found, limit = (ranks.get(str(each), math.nan) for each in (value, self.limit))
+            figure, limit = (ranks.get(str(word), math.nan) for word in (value, self.limit))
         else:
-            found, limit = (math.nan if value is None else value), self.limit
-        return {"<=": found <= limit, ">=": found >= limit, "=": found == limit}[self.sign]
+            figure, limit = (math.nan if value is None else value), self.limit
+        return {"<=": figure <= limit, ">=": figure >= limit, "=": figure == limit}[self.sign]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,15 +150,15 @@ class RequirementResult:
     def text(self) -> str:
         """The requirement, whether it is met, and the figure, as text."""
         value = f"{self.value:g}" if isinstance(self.value, float) else self.value
-        found = self.reason or " ".join(str(word) for word in (value, self.requirement.unit) if word)
+        words = self.reason or " ".join(str(word) for word in (value, self.requirement.unit) if word)
         if (
             self.requirement.unit
             and self.reason is None
             and _QUANTITIES[self.requirement.statistic.casefold()].kind == "error"
         ):
-            found += f" at the {self.requirement.group or 'check'} points"
-        found += f"; {self.caveat}" if self.caveat else ""
-        return f"{self.requirement.text}: {'met' if self.met else 'not met'} ({found})"
+            words += f" at the {self.requirement.group or 'check'} points"
+        words += f"; {self.caveat}" if self.caveat else ""
+        return f"{self.requirement.text}: {'met' if self.met else 'not met'} ({words})"
 
 
 def judge(requirement: Requirement, figure: Figure) -> RequirementResult:
@@ -178,7 +178,7 @@ def tells_accuracy(requirement: Requirement) -> bool:
     return quantity.kind == "error" or quantity.name == "sigma"
 
 
-_QUANTITIES: Final = {each.name.casefold(): each for each in QUANTITIES}
+_QUANTITIES: Final = {quantity.name.casefold(): quantity for quantity in QUANTITIES}
 
 
 def parse_requirements(texts: Sequence[str], command: Command) -> tuple[Requirement, ...]:
@@ -225,7 +225,7 @@ def value_of(requirement: Requirement, statistics: ErrorStatistics) -> float:
 
 def _quantity(text: str, name: str, command: Command) -> Quantity:
     quantity = _QUANTITIES.get(name.casefold())
-    names = ", ".join(each.name for each in QUANTITIES if command in each.commands)
+    names = ", ".join(quantity.name for quantity in QUANTITIES if command in quantity.commands)
     if quantity is None:
         raise _error(text, f"there is no statistic '{name}'; there are {names}")
     if command not in quantity.commands:
@@ -247,8 +247,10 @@ def _qualified(
         elif command == "register" and quantity.kind == "error" and word.casefold() in ("check", "fit"):
             group = "check" if word.casefold() == "check" else "fit"
         else:
-            known = "net, check and fit" if command == "register" else "net"
-            raise _error(text, f"'{word}' cannot stand before {quantity.name}; before errors {known} can")
+            qualifiers_there = "net, check and fit" if command == "register" else "net"
+            raise _error(
+                text, f"'{word}' cannot stand before {quantity.name}; before errors {qualifiers_there} can"
+            )
     return net, group
 
 
@@ -257,7 +259,7 @@ def _limit(text: str, quantity: Quantity, right: str) -> tuple[float | str, Unit
         if right.casefold() not in quantity.words:
             raise _error(text, f"{quantity.name} is one of {', '.join(quantity.words)}")
         return right.casefold(), None
-    match = _NUMBER.fullmatch(right)
+    match = _LIMIT.fullmatch(right)
     number, unit = (match["number"], match["unit"]) if match else (right, "")
     unit = " ".join(unit.casefold().split())
     limit = _number(text, number)
@@ -273,12 +275,12 @@ def _limit(text: str, quantity: Quantity, right: str) -> tuple[float | str, Unit
 
 
 def _unit(text: str, quantity: Quantity, unit: str) -> Unit:
-    found = _UNITS.get(unit)
+    known_unit = _UNIT_OF.get(unit)
     plain = quantity.name == "closure" or quantity.commands == ("watch",)
-    if found is None or (plain and found == "native px"):
+    if known_unit is None or (plain and known_unit == "native px"):
         units = "px or m" if plain else "px, native px or m"
         raise _error(text, f"give the unit {units}")
-    return found
+    return known_unit
 
 
 def _number(text: str, number: str) -> float:

@@ -14,20 +14,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import JSON_DEPTH, JSON_DIGITS, TEXT_BYTES
+from pcwlad_geo.limits import LIMITS
 
-_KINDS: Final = (
+T = TypeVar("T")
+
+_SPECIAL_FILES: Final = (
     (stat.S_ISFIFO, "a named pipe"),
     (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
 
-_METADATA: Final = (".txt", ".xml", ".imd", ".rpb", ".rpc", ".pvl", ".eph", ".att", ".pass")
+_SIDECARS: Final = (".txt", ".xml", ".imd", ".rpb", ".rpc", ".pvl", ".eph", ".att", ".pass")
 """Endings of metadata that GDAL looks for in the folder of a raster, some whatever the raster is called."""
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")  # full-width ones count too
+HIDDEN: Final = ("Cc", "Cs", "Zl", "Zp")
+"""Unicode categories of control characters, bytes that are no text, and line and paragraph separators."""
+TURNING: Final = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""Characters that reverse the direction of the text after them, which could show a name backwards."""
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
@@ -39,7 +46,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
         mode = os.stat(path).st_mode  # noqa: PTH116  # a GDAL URI is no path
     except (OSError, ValueError):
         return
-    for is_kind, name in _KINDS:
+    for is_kind, name in _SPECIAL_FILES:
         if is_kind(mode):
             raise InputError(f"{os.fspath(path)} is {name}, not a file: copy what it gives into a file")
 
@@ -63,12 +70,12 @@ def check_sidecars(path: str | os.PathLike[str]) -> None:
     try:
         folder, name = os.path.split(os.path.abspath(path))  # noqa: PTH100  # a GDAL URI is no path
         changed_ns = os.stat(folder).st_mtime_ns  # noqa: PTH116
-        found = _no_regular_files(folder, changed_ns)
+        special = _no_regular_files(folder, changed_ns)
     except (OSError, ValueError):
         return
-    own = name.lower().partition(".")[0] or name.lower()
-    for other in found:
-        if other.lower().startswith(own) or other.lower().endswith(_METADATA):
+    stem = name.lower().partition(".")[0] or name.lower()
+    for other in special:
+        if other.lower().startswith(stem) or other.lower().endswith(_SIDECARS):
             check_regular(Path(folder, other))
 
 
@@ -79,7 +86,7 @@ def _no_regular_files(folder: str, _: int) -> tuple[str, ...]:
         return tuple(entry.name for entry in entries if not (entry.is_file() or entry.is_dir()))
 
 
-def read_bytes(path: Path, most: int = TEXT_BYTES) -> bytes:
+def read_bytes(path: Path, most: int = LIMITS.text_bytes) -> bytes:
     """Read the whole file `path` of at most `most` bytes.
 
     Raises `InputError` if it is no regular file, or larger than `most` bytes, and `OSError` if it cannot be
@@ -93,7 +100,9 @@ def read_bytes(path: Path, most: int = TEXT_BYTES) -> bytes:
     return data
 
 
-def read_text(path: Path, *, most: int = TEXT_BYTES, encoding: str = "utf-8", errors: str = "strict") -> str:
+def read_text(
+    path: Path, *, most: int = LIMITS.text_bytes, encoding: str = "utf-8", errors: str = "strict"
+) -> str:
     r"""Read the whole text file `path` with all line ends as ``\n``; `encoding` and `errors` are as Python's.
 
     Raises `InputError` if it is no regular file, or larger than `most` bytes, and `OSError` or
@@ -103,7 +112,7 @@ def read_text(path: Path, *, most: int = TEXT_BYTES, encoding: str = "utf-8", er
 
 
 def read_json(path: Path) -> Any:  # noqa: ANN401  # of any structure
-    """Read a JSON file of at most `TEXT_BYTES`, which may be of any program and damaged.
+    """Read a JSON file of at most `text_bytes``, which may be of any program and damaged.
 
     Raises `InputError` if it is no regular file, or larger, `OSError` if it cannot be read, and `ValueError`
     if it is no JSON in UTF-8, or not as `parse_json` takes it.
@@ -126,6 +135,15 @@ def mismatch(value: object, kind: type) -> str | None:
             if wrong["type"] != "missing" or isinstance(wrong["loc"][-1], int):
                 return f"{'.'.join(map(str, wrong['loc']))}: {wrong['msg']}"
     return None
+
+
+def typed(value: object, kind: type[T]) -> T:
+    """Return a JSON value as a `kind`, a dataclass for example; keys that this has no field for are ignored.
+
+    Raises `ValueError` if the value is not of that type.
+    """
+    result: T = _adapter(cast(type, kind)).validate_python(value)
+    return result
 
 
 @lru_cache(maxsize=16)
@@ -157,17 +175,19 @@ def parse_json(text: str) -> Any:  # noqa: ANN401  # of any structure
     """Return the value of a JSON text, in which numbers are finite and little is nested.
 
     Raises `ValueError` if it is no JSON, holds NaN, an infinite number or a whole one of more than
-    `JSON_DIGITS` digits, or is nested deeper than `JSON_DEPTH`.
+    `json_digits`` digits, or is nested deeper than `json_depth``.
     """
     try:
-        found = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+        content = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
-    level = [found]
-    for _ in range(JSON_DEPTH):
-        level = [inner for each in level for inner in _inside(each) if isinstance(inner, dict | list)]
+    level = [content]
+    for _ in range(LIMITS.json_depth):
+        level = [
+            inner for container in level for inner in _inside(container) if isinstance(inner, dict | list)
+        ]
         if not level:
-            return found
+            return content
     raise ValueError("nested too deeply")
 
 
@@ -185,11 +205,11 @@ def plain(value: object) -> object:
         return [plain(item) for item in value]
     if not is_dataclass(value):
         return value
-    found: dict[str, object] = {}
-    for each in fields(value):
-        item = plain(getattr(value, each.name))
-        found |= item if "inline" in each.metadata and isinstance(item, dict) else {each.name: item}
-    return found
+    content: dict[str, object] = {}
+    for field in fields(value):
+        item = plain(getattr(value, field.name))
+        content |= item if "inline" in field.metadata and isinstance(item, dict) else {field.name: item}
+    return content
 
 
 def _inside(value: object) -> Iterable[object]:
@@ -204,14 +224,9 @@ def _finite(text: str) -> float:
 
 
 def _whole(text: str) -> int:
-    if len(text) > JSON_DIGITS:
+    if len(text) > LIMITS.json_digits:
         raise ValueError(f"a number has {len(text)} digits")
     return int(text)
-
-
-T = TypeVar("T")
-
-_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")  # full-width ones count too
 
 
 def cell(value: T) -> T | str:
@@ -225,19 +240,13 @@ def cell(value: T) -> T | str:
     return value
 
 
-HIDDEN: Final = ("Cc", "Cs", "Zl", "Zp")
-"""Unicode categories of control characters, bytes that are no text, and line and paragraph separators."""
-TURNING: Final = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
-"""Characters that reverse the direction of the text after them, which could show a name backwards."""
-
-
 def visible(text: str) -> str:
     r"""Return a text with its control characters written like ``\x1b``, except line breaks and tabs."""
     return "".join(
-        each.encode("unicode_escape").decode("ascii")
-        if each not in "\n\t" and (unicodedata.category(each) in HIDDEN or each in TURNING)
-        else each
-        for each in text
+        character.encode("unicode_escape").decode("ascii")
+        if character not in "\n\t" and (unicodedata.category(character) in HIDDEN or character in TURNING)
+        else character
+        for character in text
     )
 
 

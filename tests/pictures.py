@@ -14,13 +14,15 @@ BLANK = "no picture"
 def no_pictures() -> Iterator[None]:
     """Leave figures and views out of the pages that this process writes, for tests that ask for none."""
     from pcwlad_geo.multi.stack import page as stack_page  # slow to load
-    from pcwlad_geo.report import figures, page
+    from pcwlad_geo.multi.watch import page as watch_page
+    from pcwlad_geo.report import page, proof_page
 
     with pytest.MonkeyPatch.context() as patch:
-        for name in dir(figures):
-            if name.endswith("_figure"):
-                patch.setattr(figures, name, lambda *_, **__: BLANK)
-        patch.setattr(figures, "motion_figure", lambda *_, **__: (BLANK, (0.0, 0.0, 1.0, 1.0)))
+        for module in (page, proof_page, stack_page, watch_page):
+            for name in dir(module):
+                if name.endswith("_figure"):
+                    patch.setattr(module, name, lambda *_, **__: BLANK)
+        patch.setattr(watch_page, "motion_figure", lambda *_, **__: (BLANK, (0.0, 0.0, 1.0, 1.0)))
         for module in (page, stack_page):
             patch.setattr(module, "pair_views", lambda *_, **__: [])
         yield

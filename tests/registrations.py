@@ -20,8 +20,13 @@ from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.registration import Decision, Prealignment, Quality, Registration
-from pcwlad_geo.report.content import summarise, to_json
+from pcwlad_geo.registration import Decision
+from pcwlad_geo.registration.quality import Quality
+from pcwlad_geo.registration.result import Registration
+from pcwlad_geo.registration.starts.alignment import Prealignment
+from pcwlad_geo.report.content import Report
+from pcwlad_geo.report.json_content import to_json
+from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 SHIFT_PX = np.array([1.25, -0.5])
@@ -122,7 +127,12 @@ def of_files(
     )
 
 
+def summary_of(registration: Registration) -> Report:
+    """Return what report.json holds of a registration."""
+    return summarise(registration, [])
+
+
 def json_of(registration: Registration) -> dict[str, Any]:
     """Return what report.json holds of a registration, read back."""
-    report: dict[str, Any] = json.loads(to_json(summarise(registration, [])))
+    report: dict[str, Any] = json.loads(to_json(summary_of(registration)))
     return report

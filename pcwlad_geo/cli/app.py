@@ -14,12 +14,18 @@ from typer.core import TyperGroup
 
 import pcwlad_geo
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.finished import edit, warp
-from pcwlad_geo.cli.job import Ending, abandon_pair, do_pair, prove_pair, run_guarded, run_job
-from pcwlad_geo.cli.multi import batch, stack, watch
+from pcwlad_geo.cli.batch import batch
+from pcwlad_geo.cli.edit import edit
+from pcwlad_geo.cli.interrupts import INTERRUPTED
+from pcwlad_geo.cli.pair import abandon_pair, do_pair, run_pair
 from pcwlad_geo.cli.progress import show_error
+from pcwlad_geo.cli.prove import prove_pair
 from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.rig import rig
+from pcwlad_geo.cli.running import Ending, run_guarded
+from pcwlad_geo.cli.stack import stack
+from pcwlad_geo.cli.warp import warp
+from pcwlad_geo.cli.watch import watch
 from pcwlad_geo.correction import Effort
 from pcwlad_geo.errors import InputError, PcwladGeoError
 from pcwlad_geo.events import EventCallback
@@ -30,7 +36,7 @@ MANY: Final = "Many images"
 """Title of the commands for many images."""
 AFTER: Final = "After a registration"
 """Title of the commands for a finished registration."""
-EXAMPLES: Final = o.examples(
+HELP_EXAMPLES: Final = o.examples(
     "demo",
     "register red.tif thermal.tif -o registered",
     'register red.tif thermal.tif --require "CE90<=0.5px"',
@@ -39,6 +45,16 @@ EXAMPLES: Final = o.examples(
     "register --help",
 )
 """End of the help."""
+SAMPLE: Final = ("landsat_b4.tif", "landsat_b10.tif")
+"""Reference and target of the demonstration: parts of the synthetic pair of the repository."""
+NEXT: Final = """
+The pair is synthetic. The thermal band lies +1.15, -0.72 px (mean; column, row) from where its georeferencing
+says; the red band is right. Next, open that report, and register a pair of your own:
+  pcwlad-geo register REFERENCE TARGET
+"""
+"""What `demo` prints after the result."""
+PROTOCOL: Final = 1
+"""Number of the conversation with programs, JSON lines and ``edit``: programs of another cannot follow it."""
 
 
 class Commands(TyperGroup):
@@ -88,7 +104,7 @@ def register(
     output_points: o.OutputPoints = None,
 ) -> None:
     """Register TARGET to REFERENCE: tie points, correction, registered raster, report."""
-    run_job("register", context.params)
+    run_pair("register", context.params)
 
 
 @app.command(
@@ -106,7 +122,7 @@ def match(
     output_points: o.OutputPoints = None,
 ) -> None:
     """Find the tie points of a pair: a report, no correction."""
-    run_job("match", context.params)
+    run_pair("match", context.params)
 
 
 EffortOption = Annotated[
@@ -135,15 +151,6 @@ def prove(
     params = context.params
     run_guarded(params, lambda on_event: prove_pair(params, on_event), lambda: abandon_pair("proof", params))
 
-
-SAMPLE: Final = ("landsat_b4.tif", "landsat_b10.tif")
-"""Reference and target of the demonstration: parts of the synthetic pair of the repository."""
-NEXT: Final = """
-The pair is synthetic. The thermal band lies +1.15, -0.72 px (mean; column, row) from where its georeferencing
-says; the red band is right. Next, open that report, and register a pair of your own:
-  pcwlad-geo register REFERENCE TARGET
-"""
-"""What `demo` prints after the result."""
 
 DemoFolder = Annotated[Path, o.argument("FOLDER", "Folder to write into.  [default: pcwlad-geo-demo]")]
 
@@ -196,17 +203,13 @@ app.add_typer(rig, name="rig", rich_help_panel=MANY)
 app.command(hidden=True)(edit)  # a conversation between programs
 
 
-PROTOCOL: Final = 1
-"""Number of the conversation with programs, JSON lines and ``edit``: programs of another cannot follow it."""
-
-
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(is_wanted: bool) -> None:
+    if is_wanted:
         typer.echo(f"pcwlad-geo {pcwlad_geo.__version__} (protocol {PROTOCOL})")
         raise typer.Exit
 
 
-@app.callback(epilog=EXAMPLES)
+@app.callback(epilog=HELP_EXAMPLES)
 def options(
     version: Annotated[
         bool,
@@ -232,7 +235,7 @@ def run(arguments: Sequence[str]) -> int:
         show_error(error)
         return error.exit_status
     except typer.Abort:
-        return 130
+        return INTERRUPTED
     except MemoryError:  # before the work, or while reporting its end
         show_error("there is not enough memory: end other programs, or raise the limit (ulimit -v)")
         return InputError.exit_status

@@ -26,8 +26,8 @@ def watched() -> int | None:
     (other systems than Linux, other programs that call the command line, callers that have threads or have
     loaded the large libraries, which a fork does not keep intact) the work is done here.
     """
-    alone = threading.active_count() == 1 and "numpy" not in sys.modules
-    if sys.platform != "linux" or not alone or not _is_the_program():
+    is_single = threading.active_count() == 1 and "numpy" not in sys.modules
+    if sys.platform != "linux" or not is_single or not _is_the_program():
         return None
     for stream in filter(None, (sys.stdout, sys.stderr)):
         with suppress(OSError, ValueError):  # closed, or full: the work will say so

@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 
 from pcwlad_geo.errors import SettingsError
-from pcwlad_geo.limits import OPTIONS_BYTES
-from pcwlad_geo.options import OPTIONS, SETTINGS, Option, Settings, to_setting
+from pcwlad_geo.limits import LIMITS
+from pcwlad_geo.option_text import to_setting
+from pcwlad_geo.options import OPTIONS, SETTINGS, Option, Settings
 from pcwlad_geo.text import read_text
 
 if sys.version_info >= (3, 11):
@@ -28,17 +29,27 @@ def examples(*commands: str) -> str:
     return "\n".join(["\b", "Examples:", *(f"  pcwlad-geo {command}" for command in commands)])
 
 
-def collect(given: Mapping[str, object], config: Path | None) -> dict[str, Any]:
+def collect(options: Mapping[str, object], config: Path | None) -> dict[str, Any]:
     """Return the options for the API: those of the config file, replaced by those of the command line.
 
-    The names of those `given` have underscores; values are None, or an empty list or tuple for a repeatable
+    The names of those `options` have underscores; values are None, or an empty list or tuple for a repeatable
     option, where they are not. Names that are not fields of `Settings` are ignored. Raises `SettingsError` if
     the file, which is TOML, cannot be read, names an option that does not exist, or a value has a wrong type.
     """
     values = read_config(config) if config else {}
     absent: tuple[object, ...] = (None, (), [])  # Click gives () for a repeatable option that was not given
-    values |= {name: value for name, value in given.items() if name in SETTINGS and value not in absent}
+    values |= {name: value for name, value in options.items() if name in SETTINGS and value not in absent}
     return {name: to_setting(name, value) for name, value in values.items()}
+
+
+def checked_options(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options for the API in the parameters of a command, see `collect`.
+
+    An invalid value is reported here, before the large libraries are loaded.
+    """
+    options = collect(params, params["config"])
+    Settings.from_options(options)
+    return options
 
 
 def read_config(path: Path) -> dict[str, object]:
@@ -47,7 +58,7 @@ def read_config(path: Path) -> dict[str, object]:
     Raises `SettingsError` if the file cannot be read or is not valid TOML.
     """
     try:
-        values = tomllib.loads(read_text(path, most=OPTIONS_BYTES))
+        values = tomllib.loads(read_text(path, most=LIMITS.options_bytes))
     except OSError as error:
         raise SettingsError(f"cannot read config file {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or nested too deeply
@@ -77,6 +88,7 @@ def argument(metavar: str, text: str) -> Any:  # noqa: ANN401  # as typer's
 
 ProgressStyle = Literal["auto", "bar", "json", "none"]
 
+_KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
 _DEFAULTS = {field.name: field.default for field in fields(Settings)}
 _HINTS = get_type_hints(Settings)
 
@@ -94,10 +106,10 @@ def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[...
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         # not get_type_hints: that of Python 3.10 hides the flags of what is None by default in an Optional
-        own = list(inspect.signature(function, eval_str=True).parameters.values())
-        names = [each.name for each in own]
+        parameters_declared = list(inspect.signature(function, eval_str=True).parameters.values())
+        names = [parameter.name for parameter in parameters_declared]
         run = [] if "progress" in names else RUN_OPTIONS
-        given = [
+        settings = [
             inspect.Parameter(name, _KIND, default=None, annotation=_annotation(name, option))
             for name, option in OPTIONS.items()
             if command in option.commands and name not in names
@@ -107,23 +119,20 @@ def takes_settings(command: str) -> Callable[[Callable[..., None]], Callable[...
         def decorated(**values: object) -> None:
             function(**{name: values[name] for name in names})
 
-        parameters = [*own, *given, *run]
+        parameters = [*parameters_declared, *settings, *run]
         decorated.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        decorated.__annotations__ = {each.name: each.annotation for each in parameters}
+        decorated.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return decorated
 
     return decorate
 
 
-_KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
-
-
 def _annotation(name: str, option: Option) -> object:
     """Return the type of an option on the command line, with its help."""
     help_text, default = option.help, _DEFAULTS[name]
-    shown = option.none_word if default is None else default
-    if shown is not None and shown is not False and shown != ():
-        help_text += f"  [default: {shown}]"
+    text = option.none_word if default is None else default
+    if text is not None and text is not False and text != ():
+        help_text += f"  [default: {text}]"
     flag = "--" + name.replace("_", "-")
     how = typer.Option(flag, help=help_text, metavar=option.metavar, show_default=False)
     return Annotated[_type_of(name, option) | None, how]

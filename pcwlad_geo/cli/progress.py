@@ -29,8 +29,8 @@ def protocol_stream() -> Iterator[TextIO]:
     if sys.stdout is None:
         raise OutputError("standard output is closed, and --progress json writes there: open it")
     sys.stdout.flush()
-    kept = os.dup(1)
-    stream = os.fdopen(os.dup(kept), "w", encoding="utf-8", newline="\n")
+    duplicate = os.dup(1)
+    stream = os.fdopen(os.dup(duplicate), "w", encoding="utf-8", newline="\n")
     os.dup2(2, 1)
     try:
         yield stream
@@ -38,8 +38,8 @@ def protocol_stream() -> Iterator[TextIO]:
         with suppress(OSError):  # the reader has ended or the disk is full, which was detected before
             stream.close()
         sys.stdout.flush()
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(duplicate, 1)
+        os.close(duplicate)
 
 
 def own_standard_error() -> TextIO:
@@ -53,21 +53,21 @@ def own_standard_error() -> TextIO:
     runs the command in its own process.
     """
     try:
-        own = sys.stderr is not None and sys.stderr.fileno() == 2 and os.fstat(2) is not None
+        is_ours = sys.stderr is not None and sys.stderr.fileno() == 2 and os.fstat(2) is not None
     except (OSError, ValueError):  # closed, or in memory
-        own = False
-    return _take_standard_error() if own else sys.stderr
+        is_ours = False
+    return _take_standard_error() if is_ours else sys.stderr
 
 
 @cache
 def _take_standard_error() -> TextIO:
     sys.stderr.flush()
     encoding, errors = sys.stderr.encoding, sys.stderr.errors
-    taken = open(os.dup(2), "w", buffering=1, encoding=encoding, errors=errors)  # noqa: PTH123, SIM115
+    stream = open(os.dup(2), "w", buffering=1, encoding=encoding, errors=errors)  # noqa: PTH123, SIM115
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 2)
     os.close(nothing)
-    return taken
+    return stream
 
 
 class Reporter(Protocol):

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.job import Ending, columns, run_guarded
-from pcwlad_geo.cli.options import collect
+from pcwlad_geo.cli.options import checked_options
+from pcwlad_geo.cli.running import Ending, run_guarded
+from pcwlad_geo.cli.tables import columns
 from pcwlad_geo.errors import RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback
-from pcwlad_geo.options import Settings
 from pcwlad_geo.text import visible
 
 if TYPE_CHECKING:
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from pcwlad_geo.multi.qa.requirements import Judged
     from pcwlad_geo.multi.watch.trend_page import Trend
 
-HEADER: Final = ("pair (reference – target)", "n", "mean px", "LE90 px", "CE90 px", "net", "CE90 m", "")
+PAIR_COLUMNS: Final = ("pair (reference – target)", "n", "mean px", "LE90 px", "CE90 px", "net", "CE90 m", "")
 """Header of the table of pairs."""
 
 
 def stack_text(result: QaResult) -> str:
     """Return the text that is printed at the end of a band QA."""
-    lines = columns([HEADER, *(_pair(pair) for pair in result.pairs)], left=(0, 7))
+    lines = columns([PAIR_COLUMNS, *(_pair(pair) for pair in result.pairs)], texts=(0, 7))
     if result.triangles:
-        rows = [("triangle", "closure px", "places"), *(_triangle(each) for each in result.triangles)]
+        rows = [("triangle", "closure px", "places"), *(_triangle(triangle) for triangle in result.triangles)]
         lines += ["", *columns(rows, (0,))]
     elif result.against:
         lines += ["", "no triangles with --against: closure is not checked"]
@@ -53,8 +53,8 @@ def outcome_of(result: QaResult) -> dict[str, object]:
         "pairs": len(result.pairs),
         "refused": [pair.name for pair in result.refused],
         "requirements": [
-            {"text": each.requirement.rule.text, "passed": each.passed, "failed": list(each.failed)}
-            for each in result.verdicts
+            {"text": verdict.requirement.rule.text, "passed": verdict.passed, "failed": list(verdict.failed)}
+            for verdict in result.verdicts
         ],
         "paths": {kind: str(result.out_dir / name) for kind, name in names.items()},
     }
@@ -175,8 +175,7 @@ def qa(
 def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     if not params["rasters"]:
         raise SettingsError("no raster: give two or more, one with several bands, or --trend DIR")
-    settings = collect(params, params["config"])
-    Settings.from_options(settings)  # an invalid value is reported before the large libraries are loaded:
+    settings = checked_options(params)
     from pcwlad_geo.multi.qa.run import qa
 
     result = qa(
@@ -218,13 +217,13 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     )
 
 
-def _trend_ending(found: Trend) -> Ending:
+def _trend_ending(trend: Trend) -> Ending:
     figures: dict[str, object] = {
-        "reports": found.reports,
-        "series": len(found.series),
-        "paths": {kind: str(path) for kind, path in found.paths.items()},
+        "reports": trend.reports,
+        "series": len(trend.series),
+        "paths": {kind: str(path) for kind, path in trend.paths.items()},
     }
-    text = f"{found.reports} reports, {len(found.series)} series\nreport: {found.paths['report']}\n"
+    text = f"{trend.reports} reports, {len(trend.series)} series\nreport: {trend.paths['report']}\n"
     return Ending(figures, visible(text))
 
 

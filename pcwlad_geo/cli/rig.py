@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pcwlad_geo.cli import options as o
-from pcwlad_geo.cli.job import Ending, columns, run_guarded
-from pcwlad_geo.cli.multi import STATUS_OF
+from pcwlad_geo.cli.batch import STATUS_OF
 from pcwlad_geo.cli.options import collect
+from pcwlad_geo.cli.running import Ending, run_guarded
+from pcwlad_geo.cli.tables import columns
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import Settings
@@ -45,7 +46,7 @@ Pattern = Annotated[
 Fisheye = Annotated[
     bool, o.option("--fisheye", help="Lenses without a calibration in their frames are fisheyes.")
 ]
-HEADER = ("lens", "focal px", "moved px", "sigma px", "calibration off px")
+LENS_COLUMNS = ("lens", "focal px", "moved px", "sigma px", "calibration off px")
 """Header of the table of lenses."""
 
 
@@ -96,7 +97,7 @@ def _learn(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     out = params["out"] or Path("RIG.json")
     if out.is_dir():
         raise OutputError(f"{out} is a folder: name the file to write, such as {out / 'RIG.json'}")
-    found = rig_learn(
+    rig = rig_learn(
         params["captures"],
         out=out,
         pattern=params["pattern"],
@@ -105,34 +106,34 @@ def _learn(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         on_event=on_event,
         **running,
     )
-    return _learned(found, out)
+    return _learned(rig, out)
 
 
-def _learned(found: Rig, out: Path) -> Ending:
-    rows, lenses = [HEADER], []
-    for each in found.lenses:
-        off = each.off_by_px()
-        moved = found.offset_px(each)
+def _learned(rig: Rig, out: Path) -> Ending:
+    rows, lenses = [LENS_COLUMNS], []
+    for lens in rig.lenses:
+        off = lens.off_by_px()
+        offset_px = rig.offset_px(lens)
         rows.append(
             (
-                each.name,
-                f"{each.lens.focal_px:.1f}",
-                f"{moved[0]:+.1f} {moved[1]:+.1f}",
-                f"{each.mapping_sigma_px[0]:.3f}",
+                lens.name,
+                f"{lens.lens.focal_px:.1f}",
+                f"{offset_px[0]:+.1f} {offset_px[1]:+.1f}",
+                f"{lens.mapping_sigma_px[0]:.3f}",
                 "none" if off is None else f"{off[0]:.2f} (at most {off[1]:.2f})",
             )
         )
-        lenses.append({"name": each.name, "calibration_difference_px": None if off is None else list(off)})
+        lenses.append({"name": lens.name, "calibration_difference_px": None if off is None else list(off)})
     lines = columns(rows, (0,))
     lines += [
         "",
-        f"{found.captures} captures, {found.points} tie points, residual {found.residual_px:.3f} px",
-        f"quality: {found.quality}, 90 % of the frame within {found.expected_ce90_px or math.nan:.2f} px",
+        f"{rig.captures} captures, {rig.points} tie points, residual {rig.residual_px:.3f} px",
+        f"quality: {rig.quality}, 90 % of the frame within {rig.expected_ce90_px or math.nan:.2f} px",
         f"rig: {out}",
     ]
     names = ("captures", "points", "residual_px", "quality", "expected_ce90_px")
     figures: dict[str, object] = {
-        **{name: getattr(found, name) for name in names},
+        **{name: getattr(rig, name) for name in names},
         "lenses": lenses,
         "paths": {"rig": str(out.absolute())},
     }
@@ -143,7 +144,7 @@ def _apply(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     running = _running(params)
     from pcwlad_geo.rigs.applying_run import rig_apply
 
-    found = rig_apply(
+    applied = rig_apply(
         params["rig_file"],
         params["captures"],
         out_dir=params["out_dir"] or "rig_applied",
@@ -152,22 +153,24 @@ def _apply(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         on_event=on_event,
         **running,
     )
-    return _applied(found)
+    return _applied(applied)
 
 
-def _applied(found: RigApplied) -> Ending:
+def _applied(applied: RigApplied) -> Ending:
     from pcwlad_geo.registration import GRADES
 
-    counts = {status: found.count(status) for status in ("corrected", "rejected", "unusable", "failed")}
-    status = next((STATUS_OF[each] for each in STATUS_OF if counts.get(each)), 0)
-    grades = {grade: found.count(grade) for grade in reversed(GRADES)}
-    bad = [each for each in found.captures if each.status != "corrected"]
-    lines = [", ".join(f"{count} {each}" for each, count in (counts | grades).items() if count)]
-    lines.append(f"summary: {found.summary.absolute()}")
+    counts = {status: applied.count(status) for status in ("corrected", "rejected", "unusable", "failed")}
+    status = next((STATUS_OF[name] for name in STATUS_OF if counts.get(name)), 0)
+    grades = {grade: applied.count(grade) for grade in reversed(GRADES)}
+    bad = [capture for capture in applied.captures if capture.status != "corrected"]
+    lines = [", ".join(f"{count} {name}" for name, count in (counts | grades).items() if count)]
+    lines.append(f"summary: {applied.summary.absolute()}")
     figures: dict[str, object] = {
         **counts,
         "quality": grades,
-        "bad": [{"capture": each.name, "status": each.status, "reason": each.reason} for each in bad],
-        "paths": {"summary": str(found.summary.absolute())},
+        "bad": [
+            {"capture": capture.name, "status": capture.status, "reason": capture.reason} for capture in bad
+        ],
+        "paths": {"summary": str(applied.summary.absolute())},
     }
     return Ending(figures, visible("\n".join(lines)) + "\n", status)

@@ -16,7 +16,7 @@ from scipy.sparse import coo_array, csc_array, diags_array, eye_array, sparray
 from scipy.sparse.linalg import SuperLU, splu
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import COORDINATE
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.types import Float64, Index
 
 RANK: Final = 1e-12
@@ -29,8 +29,8 @@ SIZE: Final = "a trend needs points and displacements of ordinary size"
 
 def check_observations(name: str, *arrays: Float64) -> None:
     """Raise `InputError` if a number of (...,) `arrays`, in the message called `name`, is beyond measure."""
-    if not all(np.abs(values).max(initial=0.0) <= COORDINATE for values in arrays):  # NaN is not
-        raise InputError(f"{name} have numbers not finite or beyond {COORDINATE:.0e}; leave them out")
+    if not all(np.abs(values).max(initial=0.0) <= LIMITS.coordinate for values in arrays):  # NaN is not
+        raise InputError(f"{name} have numbers not finite or beyond {LIMITS.coordinate:.0e}; leave them out")
 
 
 def check_rank(matrix: Float64, least: float, needs: str) -> None:

@@ -23,11 +23,11 @@ from typing import Any, BinaryIO, Final, NoReturn, TypeVar
 from pcwlad_geo.child import child_environment, how_it_was_lost, python_command
 from pcwlad_geo.errors import ExecutionError
 from pcwlad_geo.events import EventCallback, ignore
+from pcwlad_geo.execution.cluster import connected
 from pcwlad_geo.execution.runner import (
     InThisProcess,
     OnExecutor,
     Runner,
-    connected,
     gdal_settings,
     in_environment,
     run_calls,
@@ -143,8 +143,8 @@ class ChildProcesses:
                 self._all.discard(child)
         if answer is None:
             return ExecutionError(f"a worker process was lost: {how_it_was_lost(child.reap())}")
-        done, value, text = pickle.loads(answer)
-        if done:
+        is_result, value, text = pickle.loads(answer)
+        if is_result:
             return value
         raise value from RemoteTraceback(f"\n{text}")
 

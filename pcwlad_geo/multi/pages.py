@@ -9,7 +9,7 @@ from pathlib import Path
 from jinja2 import Environment
 
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.report.page import templates_of
+from pcwlad_geo.report.page_templates import templates_of
 
 
 def environment() -> Environment:

@@ -93,8 +93,8 @@ def place_file(staged: Path, final: str | os.PathLike[str], *, overwrite: bool =
     with disk_errors(place):
         check_outputs([place], overwrite=overwrite)
         make_folders(place.parent)
-        for left in of_dead_processes(place.parent, f".{place.name}.{HOST}-"):
-            left.unlink(missing_ok=True)
+        for stage in of_dead_processes(place.parent, f".{place.name}.{HOST}-"):
+            stage.unlink(missing_ok=True)
         try:
             shutil.move(staged, temporary)
             seal(temporary)

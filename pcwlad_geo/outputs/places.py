@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from pcwlad_geo.errors import OutputError
-from pcwlad_geo.limits import NAME_BYTES
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.gdal import GDAL_ERRORS, root_cause
 from pcwlad_geo.types import PathLike
 
@@ -44,10 +44,10 @@ def check_outputs(
     an input under whatever name, or what lies there may not be replaced.
     """
     read = {(about.st_dev, about.st_ino) for about in map(_about, inputs) if about is not None}
-    taken: dict[str, Path] = {}
+    names: dict[str, Path] = {}
     for place in places:
         check_name(place)
-        other = taken.setdefault(os.path.realpath(place).casefold(), place)
+        other = names.setdefault(os.path.realpath(place).casefold(), place)
         if other is not place:
             raise OutputError(f"two outputs would be written to {place}: give them different names")
         about = _about(place)
@@ -77,10 +77,10 @@ def check_name(place: Path) -> None:
         ) from error
     if "\0" in str(place):
         raise OutputError(f"the output {str(place)!r} has a NUL character in its name: give another name")
-    if max(sizes, default=0) > NAME_BYTES:
+    if max(sizes, default=0) > LIMITS.name_bytes:
         raise OutputError(
-            f"the output {place} has a name of {max(sizes)} bytes, and at most {NAME_BYTES} are possible: "
-            "give the input a shorter name, or another folder (-o)"
+            f"the output {place} has a name of {max(sizes)} bytes, and at most {LIMITS.name_bytes} "
+            "are possible: give the input a shorter name, or another folder (-o)"
         )
 
 
@@ -117,7 +117,7 @@ def make_folders(folder: Path) -> list[Path]:
     """Make a folder and its parents, and return those that were missing, outermost first."""
     created: list[Path] = []
     try:
-        for place in [each for each in (folder, *folder.parents) if not each.exists()][::-1]:
+        for place in [parent for parent in (folder, *folder.parents) if not parent.exists()][::-1]:
             created.append(place)
             place.mkdir(FOLDER_MODE, exist_ok=True)
     except BaseException:

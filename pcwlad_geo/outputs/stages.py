@@ -153,10 +153,10 @@ def _remove_left(path: Path, out_dir: Path) -> None:
         holder = _holder(descriptor)
         if holder is None:
             raise _foreign(path)
-        held = _lock(descriptor)
-        if held is None:  # a file system without locks: decided by whether the process is running
-            held = not holder.here or alive(holder.process)
-        if held:
+        is_held = _lock(descriptor)
+        if is_held is None:  # a file system without locks: decided by whether the process is running
+            is_held = not holder.here or alive(holder.process)
+        if is_held:
             raise OutputError(
                 f"another run (process {holder.process} on {holder.host}) writes to {out_dir}: wait for its "
                 f"end, or choose another output folder"
@@ -187,8 +187,8 @@ def _holder(descriptor: int) -> Holder | None:
     """Return the process that the content of a file names; None if it is not a lock."""
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         return None
-    found = _CONTENT.fullmatch(os.read(descriptor, _MAX_BYTES).decode("utf-8", errors="replace"))
-    return Holder(int(found["process"]), found["host"]) if found else None
+    match = _CONTENT.fullmatch(os.read(descriptor, _MAX_BYTES).decode("utf-8", errors="replace"))
+    return Holder(int(match["process"]), match["host"]) if match else None
 
 
 def _is_still(descriptor: int, path: Path) -> bool:
@@ -255,14 +255,14 @@ def of_dead_processes(folder: Path, start: str) -> list[Path]:
     """
     if not folder.is_dir():
         return []
-    left = []
+    entries = []
     for place in sorted(folder.iterdir()):
         process = place.name.removeprefix(start).partition("-")[0]
         dead = place.name.startswith(start) and process.isdecimal() and not alive(int(process))
         with suppress(FileNotFoundError):  # another run was quicker
             if dead and _own(place):
-                left.append(place)
-    return left
+                entries.append(place)
+    return entries
 
 
 def _own(place: Path) -> bool:

@@ -15,7 +15,7 @@ from rasterio.crs import CRS
 from rasterio.features import rasterize
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import AREAS, SEGMENTS, VERTICES, check_count
+from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.raster.crs import WGS84, transform_xy, turn_of
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 from pcwlad_geo.raster.grid import Grid, Window
@@ -106,16 +106,16 @@ def read_areas(path: PathLike, grid: Grid) -> bytes:
     else:
         checked_vector(path, "areas.gpkg", "GeoPackage, GeoJSON, Shapefile (.shp), FlatGeobuf or KML")
     shapes, crs, box = (_shapes_of_kml if _is_kml(name) else _shapes_by_ogr)(name, grid)
-    check_count(name, len(shapes), AREAS, "areas")
+    check_count(name, len(shapes), LIMITS.areas, "areas")
     kinds = set(shapely.get_type_id(shapes).tolist())
     if not kinds <= {shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON}:
         raise InputError(f"{name} holds other than polygons: give areas (of lines or points a buffer)")
     rings = _Rings.of(*shapely.get_rings(shapely.get_parts(shapes), return_index=True)).clipped(box)
-    check_count(name, len(rings.xy), VERTICES, "vertices around the raster")
+    check_count(name, len(rings.xy), LIMITS.vertices, "vertices around the raster")
     lines, polygon = rings.lines()
     if crs != grid.crs or type(grid) is not Grid:  # edges are curved there
         step = max(box[2] - box[0], box[3] - box[1]) / 192
-        lines = shapely.segmentize(lines, max(step, shapely.length(lines).sum() / SEGMENTS))
+        lines = shapely.segmentize(lines, max(step, shapely.length(lines).sum() / LIMITS.segments))
     grid_rings = _Rings.of(
         shapely.transform(lines, lambda xy: grid.in_turn(transform_xy(xy, crs, grid.crs))), polygon
     )

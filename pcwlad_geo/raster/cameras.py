@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 from rasterio.io import DatasetReader
 
-from pcwlad_geo.limits import XMP_BYTES
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
 
 FULL_FRAME_MM: Final = math.hypot(36.0, 24.0)
@@ -214,10 +214,10 @@ def xmp_of(dataset: DatasetReader) -> dict[str, tuple[str, ...]]:
     """Return what the XMP packet of an open raster says: values by ``namespace name``.
 
     Attributes and elements count alike, and the items of a list in their order. Packets of more than
-    `XMP_BYTES` are not parsed, nor is anything after a document type, where entities would be declared.
+    `xmp_bytes`` are not parsed, nor is anything after a document type, where entities would be declared.
     """
     text = next(iter(tags_of(dataset, "xml:XMP").values()), "")
-    if not text or len(text) > XMP_BYTES:
+    if not text or len(text) > LIMITS.xmp_bytes:
         return {}
     texts: dict[str, list[str]] = {}
     inside: list[str] = []

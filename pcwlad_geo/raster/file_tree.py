@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import MEMBERS, METADATA_BYTES, check_count, check_unpacked
+from pcwlad_geo.limits import LIMITS, check_count, check_unpacked
 from pcwlad_geo.text import read_bytes
 from pcwlad_geo.types import PathLike
 
@@ -76,7 +76,7 @@ class FileTree:
             data = (
                 _member(_Archive.of(self.path), name)
                 if self.prefix
-                else read_bytes(self.path / name, METADATA_BYTES)
+                else read_bytes(self.path / name, LIMITS.metadata_bytes)
             )
         except (KeyError, *_DAMAGED) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
@@ -147,13 +147,13 @@ def _members(archive: _Archive) -> Mapping[str, _Member]:
     if archive.zipped:
         with zipfile.ZipFile(archive.path) as file:
             entries = file.infolist()
-            check_count(str(archive.path), len(entries), MEMBERS, "files")
+            check_count(str(archive.path), len(entries), LIMITS.members, "files")
             check_unpacked(str(archive.path), sum(entry.file_size for entry in entries), archive.size)
             return {entry.filename: _Member(entry.filename) for entry in entries if _counts(entry.filename)}
     members: dict[str, _Member] = {}
     with tarfile.open(archive.path) as tar:
         for number, member in enumerate(tar, start=1):
-            check_count(str(archive.path), number, MEMBERS, "files")
+            check_count(str(archive.path), number, LIMITS.members, "files")
             if archive.unpacks:  # before what follows is unpacked
                 check_unpacked(str(archive.path), member.offset_data + member.size, archive.size)
             if member.isfile() and _counts(member.name):
@@ -174,10 +174,11 @@ def _member(archive: _Archive, name: str) -> bytes:
 
 
 def _small(member: IO[bytes], name: str) -> bytes:
-    data = member.read(METADATA_BYTES + 1)
-    if len(data) > METADATA_BYTES:
+    data = member.read(LIMITS.metadata_bytes + 1)
+    if len(data) > LIMITS.metadata_bytes:
         raise InputError(
-            f"{name} unpacks to more than {METADATA_BYTES} bytes, and at most so many are read: get it again"
+            f"{name} unpacks to more than {LIMITS.metadata_bytes} bytes, and at most so many are read: "
+            "get it again"
         )
     return data
 

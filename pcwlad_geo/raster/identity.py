@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.file_tree import plain_uri
@@ -41,11 +41,6 @@ class FileIdentity:
     """The server's entity tag of this version of the file; None for a file on a disk."""
     header_sha256: Annotated[str, ("pattern", "^[0-9a-f]{64}$")] | None = None
     """SHA-256, in hexadecimal digits, of the first `HEADER_BYTES` bytes; None for a file on a server."""
-
-    @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> FileIdentity:
-        """Build an identity from its entry in report.json; other keys are ignored."""
-        return FileIdentity(**{name: values[name] for name in FileIdentity.__slots__})
 
     def difference(self, now: FileIdentity | None) -> str | None:
         """Describe how a file has changed since; None where no change is detected.

@@ -17,7 +17,7 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.plausible import ALL_VALUES, Limits
-from pcwlad_geo.limits import CHECKED_PX, FILE_PX
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.areas import Areas, read_areas
 from pcwlad_geo.raster.bands import BandPart, Bands
 from pcwlad_geo.raster.cameras import Camera, camera_of
@@ -160,18 +160,18 @@ def describe(
 
 def is_huge(grid: Grid) -> bool:
     """Whether a raster is too large to be read as a whole, as a tile service is."""
-    return math.prod(grid.shape) > FILE_PX
+    return math.prod(grid.shape) > LIMITS.file_px
 
 
 def check_part(info: RasterInfo, shape: tuple[int, int]) -> None:
     """Raise `InputError` if a part of a raster, of so many rows and columns, is too large to be read."""
     rows, cols = shape
-    if rows * cols > FILE_PX:
+    if rows * cols > LIMITS.file_px:
         raise InputError(
-            f"of {info.uri}, {cols} x {rows} pixels show ground that is compared, and at most {FILE_PX} are "
-            "read: give an --extent, or a coarser version of it"
+            f"of {info.uri}, {cols} x {rows} pixels show ground that is compared, and at most "
+            f"{LIMITS.file_px} are read: give an --extent, or a coarser version of it"
         )
-    if rows * cols > CHECKED_PX:
+    if rows * cols > LIMITS.checked_px:
         with open_raster(info.uri) as dataset:
             check_dataset(info.uri, dataset, info.band, shape)
 

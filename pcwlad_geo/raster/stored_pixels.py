@@ -11,7 +11,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import CHECKED_PX, MIN_STORED, check_block, check_shape, check_stored
+from pcwlad_geo.limits import LIMITS, check_block, check_shape, check_stored
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.opening import open_for_reading
@@ -54,15 +54,15 @@ def _check_pixels(uri: str, dataset: DatasetReader, band: int, part: tuple[int, 
     size = np.dtype(dataset.dtypes[band - 1]).itemsize
     together = dataset.count if dataset.tags(ns="IMAGE_STRUCTURE").get("INTERLEAVE") == "PIXEL" else 1
     check_block(uri, (rows, cols), size * together)
-    if shape[0] * shape[1] <= CHECKED_PX:
+    if shape[0] * shape[1] <= LIMITS.checked_px:
         return
     sizes = list(_file_sizes(dataset))
     if sizes and dataset.driver not in NETWORK_DRIVERS:  # on this machine
         check_stored(uri, shape, sum(sizes))
-    if dataset.driver == "GTiff" and _stored_share(dataset, band) < MIN_STORED:
+    if dataset.driver == "GTiff" and _stored_share(dataset, band) < LIMITS.min_stored:
         raise InputError(
             f"{uri} declares {shape[1]} x {shape[0]} pixels, and hardly a block of them is in the file "
-            f"(less than {MIN_STORED:.1%}): it is empty; crop it to where it holds data"
+            f"(less than {LIMITS.min_stored:.1%}): it is empty; crop it to where it holds data"
         )
 
 

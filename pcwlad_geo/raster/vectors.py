@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.child import child_environment, python_command
 from pcwlad_geo.errors import InputError, TrustError
-from pcwlad_geo.limits import AREAS, READING_BYTES, READING_S
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.trust.permissions import current_trust
 from pcwlad_geo.text import check_regular
 from pcwlad_geo.types import PathLike
@@ -99,9 +99,9 @@ def read_layers(name: str) -> list[VectorLayer]:
 def ask(name: str, box: Box | None = None) -> Any:  # noqa: ANN401  # of either question
     """Return the number of layers of a vector file and the CRS of a single one, as text or None.
 
-    With a `box` in that CRS return the geometries that meet it instead, one more than `AREAS` at most, as
-    well-known binary. Raises `InputError` if the file cannot be read, or takes more than `READING_S` or
-    `READING_BYTES`.
+    With a `box` in that CRS return the geometries that meet it instead, one more than `areas`` at most, as
+    well-known binary. Raises `InputError` if the file cannot be read, or takes more than `reading_s`` or
+    `reading_bytes``.
     """
     return _answer_to(name, box)
 
@@ -113,12 +113,13 @@ def _answer_to(name: str, question: object) -> Any:  # noqa: ANN401  # of any qu
             env=child_environment(),
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            timeout=READING_S,
+            timeout=LIMITS.reading_s,
         )
         said, value = pickle.loads(ended.stdout or pickle.dumps(("it needs too much memory", None)))
     except subprocess.TimeoutExpired:
         said = (
-            f"it takes more than {READING_S:.0f} s; write what lies around the rasters to a file of its own"
+            f"it takes more than {LIMITS.reading_s:.0f} s; write what lies around the rasters to "
+            "a file of its own"
         )
     except (OSError, ValueError) as error:
         said = str(error)
@@ -135,7 +136,7 @@ def answer(name: str, question: str) -> None:
     with suppress(ImportError, ValueError):  # Windows has no such limit, and a lower one may be set
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (READING_BYTES, READING_BYTES))
+        resource.setrlimit(resource.RLIMIT_AS, (LIMITS.reading_bytes, LIMITS.reading_bytes))
     value: object = None
     try:
         if (around := json.loads(question)) == _WHOLE:
@@ -144,7 +145,12 @@ def answer(name: str, question: str) -> None:
             count = len(pyogrio.list_layers(name))
             value = count, pyogrio.read_info(name)["crs"] if count == 1 else None
         else:
-            options = {"columns": [], "force_2d": True, "max_features": AREAS + 1, "bbox": tuple(around)}
+            options = {
+                "columns": [],
+                "force_2d": True,
+                "max_features": LIMITS.areas + 1,
+                "bbox": tuple(around),
+            }
             value = list(pyogrio.raw.read(name, **options)[2])
         said = ""
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
@@ -169,13 +175,13 @@ def _layer(name: str, layer: str) -> VectorLayer:
 
 @contextmanager
 def sqlite_file(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a SQLite file for reading, of which every query is ended after `READING_S`.
+    """Open a SQLite file for reading, of which every query is ended after `reading_s``.
 
     Raises `TrustError` if it holds a view, which may be an endless query, and is not trusted, and
     `sqlite3.Error` if it cannot be read.
     """
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-        end = time.monotonic() + READING_S
+        end = time.monotonic() + LIMITS.reading_s
         database.set_progress_handler(lambda: time.monotonic() > end, 100_000)  # steps, some milliseconds
         view = database.execute("SELECT name FROM sqlite_master WHERE type = 'view'").fetchone()
         if view is not None and not current_trust().vrt:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import UNREAD_PARTS
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.band_reading import read_window
 from pcwlad_geo.raster.grid import Grid, Window, jacobian, map_px
 from pcwlad_geo.raster.opening import open_raster
@@ -152,7 +152,9 @@ def _read_what_can_be(
         return _read(view, window, overview)
     except InputError:
         tries.failed += 1
-        if tries.failed > UNREAD_PARTS:  # each part opens the file again: all of a large one would take hours
+        if (
+            tries.failed > LIMITS.unread_parts
+        ):  # each part opens the file again: all of a large one would take hours
             raise
         if max(window.shape) <= VIEWS.min_part_px:
             return np.zeros(window.shape, view.info.dtype), np.zeros(window.shape, bool)

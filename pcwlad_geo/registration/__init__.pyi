@@ -19,7 +19,7 @@ from .quality import (
 )
 from .result import Matches, Pair, PairGeometry, Registration, RegistrationStatus
 from .rpc import CorrectedRpc, RpcRegistration
-from .run import conclude, prove_pair, register_pair
+from .run import conclude, prove_pair, register_inputs, register_pair
 from .starts.alignment import Prealignment
 from .starts.pose import Pose
 
@@ -54,6 +54,7 @@ __all__ = [
     "match_pair",
     "prepare_pair",
     "prove_pair",
+    "register_inputs",
     "register_pair",
     "requested_grid",
     "resolve",

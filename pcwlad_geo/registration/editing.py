@@ -13,9 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.matching import MatchSettings, match_arrays
 from pcwlad_geo.matching.first_pass import margin_px
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.trust.permissions import trusting
-from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.raster import Window, file_px_per_px
 from pcwlad_geo.registration.fitting import footprint_px
 from pcwlad_geo.registration.point_file import user_points
 from pcwlad_geo.registration.result import Pair
@@ -61,8 +59,7 @@ class Editor:
         self._pair, self.parameters = pair, parameters
         self.files: tuple[PathLike, ...] = (path, *(file.identity.path for file in pair.inputs))
         """What has been read: the tie points, and the files of both rasters."""
-        with trusting(pair.settings.trust):
-            points = user_points(path, pair.views)
+        points = user_points(path, pair.views)
         self.table = points.table
         self._roles = np.full(len(points.table), "fit", "<U8") if points.roles is None else points.roles
         self._side = points.origin.window_px or pair.settings.window or MatchSettings().window
@@ -127,8 +124,7 @@ class Editor:
         off_px = np.abs(taken_px - views.reference.from_file_px(places_px[0])).max(axis=1)
         if (off_px < self.parameters.spacing_px).any():
             raise InputError("there is a tie point already: move or delete that one")
-        with trusting(self._pair.settings.trust):
-            refined = self._refined(places_px[0], places_px[1], radius_px, taken_px)
+        refined = self._refined(places_px[0], places_px[1], radius_px, taken_px)
         reference_px, target_px, covariance_px2, score = refined or (
             places_px[0],
             places_px[1],

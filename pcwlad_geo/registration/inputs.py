@@ -17,17 +17,24 @@ from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import FILE_OPTIONS, Settings
 from pcwlad_geo.products.finding import KINDS, find_product, no_product
 from pcwlad_geo.products.product import Product, ProductBand
-from pcwlad_geo.raster.bands import BandPart, Bands
+from pcwlad_geo.raster import (
+    Bands,
+    FileIdentity,
+    Grid,
+    GridRequest,
+    OutputFormat,
+    RasterInfo,
+    RpcGrid,
+    describe,
+    identify,
+    open_raster,
+)
+from pcwlad_geo.raster.bands import BandPart
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.identity import FileIdentity, identify
 from pcwlad_geo.raster.matching_grid import share_plane
-from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.output_format import OutputFormat, check_format
-from pcwlad_geo.raster.output_grid import GridRequest, check_covered, output_lattice
-from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster.output_format import check_format
+from pcwlad_geo.raster.output_grid import check_covered, output_lattice
 from pcwlad_geo.raster.rpc.planning import ground_grid
-from pcwlad_geo.raster.source import RasterInfo, describe
 from pcwlad_geo.registration.rpc import place_reference, place_target
 from pcwlad_geo.tiepoints.readers import FORMATS
 from pcwlad_geo.types import PathLike
@@ -81,6 +88,8 @@ class Inputs:
     """Warnings to be sent."""
     other_bands: tuple[ProductBand, ...] = ()
     """Other bands of the target's product that are to be corrected."""
+    target_file: str = ""
+    """The band's file of the target, of several bands that of the first: outputs are named after it."""
 
 
 def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_bands: bool = False) -> Inputs:
@@ -102,7 +111,7 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
             "all its bands but the reference; it holds for those that lie as the target does",
         )
     settings = replace(settings, **ref.changes, **tgt.changes)
-    return Inputs(ref.uri, tgt.uri, ref.bands, tgt.bands, settings, notes, other_bands)
+    return Inputs(ref.uri, tgt.uri, ref.bands, tgt.bands, settings, notes, other_bands, tgt.file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,12 +144,6 @@ def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
 
 def _files(first: str, bands: Bands) -> list[str]:
     return list(dict.fromkeys([first, *(part.path for part in bands.parts)]))
-
-
-def band_file(path: PathLike, band: int | str) -> str:
-    """Return the path or GDAL URI that is opened for `band` of `path`: `path` itself if it is no product."""
-    product = find_product(path)
-    return os.fspath(path) if product is None else product.band(band).uri
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,19 +213,18 @@ def requested_grid(settings: Settings) -> GridRequest:
     return grid_request(settings.grid, settings.like, settings.tr, te, settings.t_srs)
 
 
-def check_output(reference: PathLike, target: PathLike, settings: Settings) -> None:
-    """Check the options of the registered raster in `settings` before `reference` and `target` are matched.
+def check_output(inputs: Inputs) -> None:
+    """Check the options of the registered raster before the `inputs` are matched.
 
     Raises `SettingsError` if format or creation options cannot be used, and `InputError` if a raster cannot
     be read, lacks georeferencing that the grid needs, or lies far from that grid.
     """
-    request = requested_grid(settings)
-    fmt = OutputFormat.of(settings.of, settings.co)
+    settings = inputs.settings
+    request, fmt = requested_grid(settings), OutputFormat.of(settings.of, settings.co)
     if request == GridRequest(settings.grid) and fmt == OutputFormat():
         return
-    inputs = resolve(reference, target, settings)
     ref, tgt = describe(inputs.reference, part=True), describe(inputs.target, part=True)
-    ref, tgt = _as_placed(ref, tgt, inputs.settings)
+    ref, tgt = _as_placed(ref, tgt, settings)
     ground = ground_grid(ref.grid)
     check_placed(request, {ref.uri: ref.georeferenced, tgt.uri: tgt.georeferenced}, ground)
     if fmt.is_vrt and isinstance(tgt.grid, RpcGrid):

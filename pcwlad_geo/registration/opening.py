@@ -7,24 +7,18 @@ from dataclasses import dataclass, replace
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, JobLog, ignore
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import Bands, RasterInfo, describe, plan_views
 from pcwlad_geo.raster.band_pixels import BandPixels
-from pcwlad_geo.raster.bands import Bands
 from pcwlad_geo.raster.cameras import expected_scale
 from pcwlad_geo.raster.combined_bands import with_bands
 from pcwlad_geo.raster.compression import with_compression_blocks
 from pcwlad_geo.raster.fill import without_shared_fill
 from pcwlad_geo.raster.identity import digest
-from pcwlad_geo.raster.matching_grid import (
-    ONLY_PIXELS,
-    limited,
-    limited_to_overlap,
-    plan_views,
-    share_plane,
-)
+from pcwlad_geo.raster.matching_grid import ONLY_PIXELS, limited, limited_to_overlap, share_plane
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
-from pcwlad_geo.raster.source import RasterInfo, describe, same_band, with_areas
+from pcwlad_geo.raster.source import same_band, with_areas
 from pcwlad_geo.raster.undeclared import without_undeclared
-from pcwlad_geo.registration.inputs import identify_inputs, resolve
+from pcwlad_geo.registration.inputs import Inputs, identify_inputs, resolve
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.registration.rpc import (
     place_reference,
@@ -50,28 +44,28 @@ def prepare_pair(
     settings: Settings,
     *,
     on_event: EventCallback = ignore,
-    all_bands: bool = False,
+) -> Pair:
+    """Describe two rasters, or products (see `inputs.resolve`), and decide on which pixels they are compared.
+
+    See `prepare_inputs`.
+    """
+    return prepare_inputs(resolve(reference, target, settings), on_event=on_event)
+
+
+def prepare_inputs(
+    inputs: Inputs,
+    *,
+    on_event: EventCallback = ignore,
     parameters: OpeningParameters = OpeningParameters(),
 ) -> Pair:
-    """Describe two rasters and decide on which pixels they are compared.
+    """Describe the two rasters of a job and decide on which pixels they are compared.
 
     No pixel is read, but for those that tell whether a raster without nodata and mask has a constant border,
     and whether one of 8 bits shows the blocks of lossy compression.
-    Raises `InputError` if the input cannot be used, or the two do not overlap.
-
-    Parameters
-    ----------
-    reference, target : path
-        Rasters, or products (see `inputs.resolve`).
-    on_event : callable
-        Receives warnings.
-    all_bands : bool
-        The other bands of the target's product are inputs too.
+    `on_event` receives warnings. Raises `InputError` if the input cannot be used, or the two do not overlap.
     """
-    log = JobLog(on_event)
+    log, settings = JobLog(on_event), inputs.settings
     with log.stage("reading"):
-        inputs = resolve(reference, target, settings, all_bands=all_bands)
-        settings = inputs.settings
         files = identify_inputs(inputs)  # before any of them is read
         content = digest(file.identity for file in files)
         ref, ref_said, ref_pixels = _described(inputs.reference, inputs.ref_bands, settings.ref_mask, content)

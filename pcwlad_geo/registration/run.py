@@ -10,13 +10,13 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, JobLog, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import at_mean_height
 from pcwlad_geo.raster.grid import pixel_size_m
-from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.registration.assessment import fit_pair
 from pcwlad_geo.registration.fitting import AssessedFit
+from pcwlad_geo.registration.inputs import Inputs, resolve
 from pcwlad_geo.registration.matching import match_pair
-from pcwlad_geo.registration.opening import prepare_pair
+from pcwlad_geo.registration.opening import prepare_inputs, prepare_pair
 from pcwlad_geo.registration.result import Matches, Registration
 from pcwlad_geo.registration.rpc import (
     corrected_rpc,
@@ -37,17 +37,31 @@ def register_pair(
 ) -> Registration:
     """Register the target to the reference, or only match them: open, match, fit, conclude.
 
-    Both are rasters, or products (see `inputs.resolve`). The `runner` runs the tiles; None: this process. An
-    exception that `on_event` raises ends the job. Raises `InputError` if the input cannot be used.
+    Both are rasters, or products (see `inputs.resolve`). See `register_inputs`.
     """
-    with trusting(settings.trust):
-        pair = prepare_pair(reference, target, settings, on_event=on_event, all_bands=not match_only)
-        matches = match_pair(pair, runner or InThisProcess(), on_event=on_event)
-        if settings.prove != "off" and matches.accepted:
-            return _proved(matches, settings, on_event, runner or InThisProcess(), match_only=match_only)
-        if match_only or not matches.accepted:
-            return conclude(matches)
-        return conclude(matches, fit_pair(matches, on_event=on_event))
+    inputs = resolve(reference, target, settings, all_bands=not match_only)
+    return register_inputs(inputs, on_event=on_event, runner=runner, match_only=match_only)
+
+
+def register_inputs(
+    inputs: Inputs,
+    *,
+    on_event: EventCallback = ignore,
+    runner: Runner | None = None,
+    match_only: bool = False,
+) -> Registration:
+    """Register a pair whose inputs are resolved, or only match it.
+
+    The `runner` runs the tiles; None: this process. An exception that `on_event` raises ends the job. Raises
+    `InputError` if the input cannot be used.
+    """
+    settings, runner = inputs.settings, runner or InThisProcess()
+    matches = match_pair(prepare_inputs(inputs, on_event=on_event), runner, on_event=on_event)
+    if settings.prove != "off" and matches.accepted:
+        return _proved(matches, settings, on_event, runner, match_only=match_only)
+    if match_only or not matches.accepted:
+        return conclude(matches)
+    return conclude(matches, fit_pair(matches, on_event=on_event))
 
 
 def _proved(

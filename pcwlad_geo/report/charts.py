@@ -20,7 +20,11 @@ from PIL import Image
 
 from pcwlad_geo.types import Bool, Float64
 
-WIDTH_PX: Final = 816.0
+COL_COLOUR, ROW_COLOUR, CHECK_COLOUR = "#0072b2", "#d55e00", "#cc79a7"
+"""Colours of both axes and of check points, distinguishable with colour blindness (Okabe and Ito 2008)."""
+AXES: Final = (("column", COL_COLOUR), ("row", ROW_COLOUR))
+"""Names and colours of both axes."""
+CHART_WIDTH_PX: Final = 816.0
 """Width of all charts, CSS px."""
 MAX_TICKS: Final = 4
 """Largest number of intervals between the ticks of an axis."""
@@ -59,8 +63,8 @@ _HATCHES: Final[dict[str, str]] = {
 class Box:
     """A part of a chart, CSS px from its top-left corner."""
 
-    left: float
-    top: float
+    x: float
+    y: float
     width: float
     height: float
 
@@ -83,8 +87,8 @@ class Chart:
 
     def whole(self) -> Panel:
         """Return all of the chart as a panel whose axes are CSS px, downwards, and which cuts nothing off."""
-        box = Box(0.0, 0.0, WIDTH_PX, self.height)
-        return Panel(self, box, (0.0, WIDTH_PX), (self.height, 0.0), "")
+        box = Box(0.0, 0.0, CHART_WIDTH_PX, self.height)
+        return Panel(self, box, (0.0, CHART_WIDTH_PX), (self.height, 0.0), "")
 
     def add(self, element: str) -> None:
         """Draw an element of SVG above all others."""
@@ -120,8 +124,8 @@ class Chart:
     def svg(self) -> str:
         """Return the picture."""
         return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX:g}" height="{self.height:g}" '
-            f'viewBox="0 0 {WIDTH_PX:g} {self.height:g}" font-family="sans-serif" fill="#111">'
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{CHART_WIDTH_PX:g}" height="{self.height:g}" '
+            f'viewBox="0 0 {CHART_WIDTH_PX:g} {self.height:g}" font-family="sans-serif" fill="#111">'
             f"<defs>{''.join(self._definitions.values())}</defs>{''.join(self._parts)}</svg>"
         )
 
@@ -139,11 +143,11 @@ class Panel:
 
     def to_px(self, x: Float64, y: Float64) -> tuple[Float64, Float64]:
         """Return the (n,) places on the chart of (n,) values `x` and `y`, at most some widths beyond."""
-        (left, right), (bottom, top) = self.x_limits, self.y_limits
-        across = (np.asarray(x, np.float64) - left) / (right - left)
+        (x_low, x_high), (bottom, top) = self.x_limits, self.y_limits
+        across = (np.asarray(x, np.float64) - x_low) / (x_high - x_low)
         up = (np.asarray(y, np.float64) - bottom) / (top - bottom)
-        across, up = (np.clip(each, -9.0, 9.0) for each in (across, up))
-        return self.box.left + across * self.box.width, self.box.top + (1.0 - up) * self.box.height
+        across, up = (np.clip(share, -9.0, 9.0) for share in (across, up))
+        return self.box.x + across * self.box.width, self.box.y + (1.0 - up) * self.box.height
 
     def draw(self, d: str, style: str) -> None:
         """Draw a path within the frame."""
@@ -174,10 +178,10 @@ class Panel:
     def line(self, x: Float64, y: Float64, colour: str, width: float = 1.4, dash: str = "") -> None:
         """Draw a line through places, the (n,) `x` and `y`, with a gap where one is NaN."""
         d, pen = [], "M"
-        for at_x, at_y in zip(*(each.tolist() for each in self.to_px(x, y)), strict=True):
-            known = math.isfinite(at_x) and math.isfinite(at_y)
-            d += [f"{pen}{at_x:.1f} {at_y:.1f}"] if known else []
-            pen = "L" if known else "M"
+        for at_x, at_y in zip(*(values.tolist() for values in self.to_px(x, y)), strict=True):
+            is_finite = math.isfinite(at_x) and math.isfinite(at_y)
+            d += [f"{pen}{at_x:.1f} {at_y:.1f}"] if is_finite else []
+            pen = "L" if is_finite else "M"
         dashes = f' stroke-dasharray="{dash}"' if dash else ""
         self.draw("".join(d), f'fill="none" stroke="{colour}" stroke-width="{width:g}"{dashes}')
 
@@ -205,7 +209,7 @@ class Panel:
         width, height = self.box.width / cols, self.box.height / rows
         side = f"h{width:.2f}v{height:.2f}h-{width:.2f}z"
         d = "".join(
-            f"M{self.box.left + col * width:.2f} {self.box.top + row * height:.2f}{side}"
+            f"M{self.box.x + col * width:.2f} {self.box.y + row * height:.2f}{side}"
             for row, col in np.argwhere(where).tolist()
         )
         if colour:
@@ -230,7 +234,7 @@ class Panel:
     def circle(self, radius: float, colour: str, width: float = 1.5) -> None:
         """Draw a circle about the origin of the axes, in their units."""
         ends = np.array([0.0, radius])
-        (x, edge), (y, top) = (each.tolist() for each in self.to_px(ends, ends))
+        (x, edge), (y, top) = (ends_px.tolist() for ends_px in self.to_px(ends, ends))
         r = f"{abs(edge - x):.1f} {abs(top - y):.1f}"
         d = f"M{edge:.1f} {y:.1f}A{r} 0 1 0 {2 * x - edge:.1f} {y:.1f}A{r} 0 1 0 {edge:.1f} {y:.1f}Z"
         self.draw(d, f'fill="none" stroke="{colour}" stroke-width="{width:g}"')
@@ -247,7 +251,7 @@ class Panel:
     def arrows(self, at: Float64, to: Float64, colours: Sequence[str]) -> None:
         """Draw arrows from the (n, 2) places `at` to the (n, 2) places `to`, by turns of the `colours`."""
         paths: dict[str, list[str]] = {}
-        begin, end = (np.column_stack(self.to_px(*each.T)) for each in (at, to))
+        begin, end = (np.column_stack(self.to_px(*places.T)) for places in (at, to))
         for number, (one, other) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
             paths.setdefault(colours[number % len(colours)], []).append(_arrow(*one, *other))
         for colour, d in paths.items():
@@ -258,19 +262,19 @@ class Panel:
         """Draw the frame, and write the labels and the title."""
         box = self.box
         self.chart.add(f'<g fill="none" stroke="#111" stroke-width=".9">{_rectangle(box)}</g>')
-        middle = box.left + box.width / 2
+        middle = box.x + box.width / 2
         if x_label:
-            self.chart.text(middle, box.top + box.height + 34, x_label, anchor="middle")
+            self.chart.text(middle, box.y + box.height + 34, x_label, anchor="middle")
         if y_label:
-            left, centre = box.left - 44, box.top + box.height / 2
-            self.chart.text(left, centre, y_label, anchor="middle", turn=-90)
+            label_x, centre = box.x - 44, box.y + box.height / 2
+            self.chart.text(label_x, centre, y_label, anchor="middle", turn=-90)
         if title:
-            self.chart.text(box.left, box.top - 7, title, LARGE)
+            self.chart.text(box.x, box.y - 7, title, LARGE)
 
     def x_ticks(self, ticks: Sequence[tuple[float, str]] | None = None, *, grid: bool = False) -> None:
         """Draw ticks below the panel with their texts, or lines through it."""
         ticks = tick_texts(*self.x_limits) if ticks is None else ticks
-        bottom, top = self.box.top + self.box.height, self.box.top
+        bottom, top = self.box.y + self.box.height, self.box.y
         at, _ = self.to_px(np.array([value for value, _ in ticks]), np.zeros(len(ticks)))
         begin = top if grid else bottom
         self._ticks([f"M{x:.1f} {begin:.1f}V{bottom + TICK_PX:.1f}" for x in at.tolist()], grid=grid)
@@ -281,13 +285,13 @@ class Panel:
         """Draw ticks left of the panel with their texts."""
         ticks = tick_texts(*self.y_limits) if ticks is None else ticks
         _, at = self.to_px(np.zeros(len(ticks)), np.array([value for value, _ in ticks]))
-        self._ticks([f"M{self.box.left:.1f} {y:.1f}h-{TICK_PX:g}" for y in at.tolist()])
+        self._ticks([f"M{self.box.x:.1f} {y:.1f}h-{TICK_PX:g}" for y in at.tolist()])
         for y, (_, text) in zip(at.tolist(), ticks, strict=True):
-            self.chart.text(self.box.left - 7, y + 0.35 * size, text, size, "end")
+            self.chart.text(self.box.x - 7, y + 0.35 * size, text, size, "end")
 
     def bar(self, colours: ColourMap, high: float, label: str, low: float = 0.0) -> None:
         """Draw a bar of the colours of the values from `low` to `high` at the right of the panel."""
-        box = Box(self.box.left + self.box.width + 12, self.box.top, 15, self.box.height)
+        box = Box(self.box.x + self.box.width + 12, self.box.y, 15, self.box.height)
         stops = _STOPS[colours].split()[::-1]
         inner = "".join(
             f'<stop offset="{number / (len(stops) - 1):.3f}" stop-color="#{stop}"/>'
@@ -297,10 +301,10 @@ class Panel:
         fill = self.chart.define(colours, f'<linearGradient id="{colours}" {across}>{inner}</linearGradient>')
         self.chart.add(f'<g fill="{fill}" stroke="#111" stroke-width=".6">{_rectangle(box)}</g>')
         for value, text in tick_texts(low, high):
-            y = box.top + box.height * (high - value) / (high - low)
-            self.chart.add(f'<path d="M{box.left + box.width:.1f} {y:.1f}h{TICK_PX:g}" stroke="#111"/>')
-            self.chart.text(box.left + box.width + 6, y + 3.7, text, SMALL)
-        self.chart.text(box.left + 75, box.top + box.height / 2, label, anchor="middle", turn=-90)
+            y = box.y + box.height * (high - value) / (high - low)
+            self.chart.add(f'<path d="M{box.x + box.width:.1f} {y:.1f}h{TICK_PX:g}" stroke="#111"/>')
+            self.chart.text(box.x + box.width + 6, y + 3.7, text, SMALL)
+        self.chart.text(box.x + 75, box.y + box.height / 2, label, anchor="middle", turn=-90)
 
     def _ticks(self, paths: Sequence[str], *, grid: bool = False) -> None:
         colour = "#ddd" if grid else "#111"
@@ -330,7 +334,7 @@ def ticks_between(low: float, high: float, most: int = MAX_TICKS) -> list[float]
         return [low]
     power = 10.0 ** math.floor(math.log10((high - low) / most))
     least = (high - low) / most * (1 - 1e-9)
-    step = next(each * power for each in (1, 2, 2.5, 5, 10) if each * power >= least)
+    step = next(multiple * power for multiple in (1, 2, 2.5, 5, 10) if multiple * power >= least)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [number * step for number in range(first, last + 1)]
 
@@ -361,6 +365,14 @@ def day_ticks(first: np.datetime64, last: np.datetime64, most: int = 6) -> list[
     days = np.array(numbers).astype(f"datetime64[{unit}]")
     at = days.astype("datetime64[D]").astype(float)
     return list(zip(at.tolist(), map(str, days), strict=True))
+
+
+def span_of(*values: Float64) -> tuple[float, float]:
+    """Return the limits of an axis that shows all finite `values`, (n,) arrays."""
+    every = np.concatenate(values)
+    low, high = float(np.nanmin(every)), float(np.nanmax(every))
+    margin = 0.12 * max(high - low, 0.05)
+    return low - margin, high + margin
 
 
 def coloured(values: Float64, low: float, high: float, colours: ColourMap) -> NDArray[np.uint8]:
@@ -396,7 +408,7 @@ def _arrow(x: float, y: float, to_x: float, to_y: float) -> str:
 
 
 def _place(box: Box) -> str:
-    return f'x="{box.left:.1f}" y="{box.top:.1f}" width="{box.width:.1f}" height="{box.height:.1f}"'
+    return f'x="{box.x:.1f}" y="{box.y:.1f}" width="{box.width:.1f}" height="{box.height:.1f}"'
 
 
 def _rectangle(box: Box) -> str:

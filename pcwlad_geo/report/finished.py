@@ -16,30 +16,78 @@ from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
-from pcwlad_geo.options import RUNNING, Settings
-from pcwlad_geo.raster.file_tree import is_folder
-from pcwlad_geo.raster.grid import Grid, is_invertible, linear_part
-from pcwlad_geo.raster.identity import FileIdentity, same
-from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.output_grid import GridRequest
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.options import RUNNING, OutputGrid, Resampling, Settings
+from pcwlad_geo.raster import Dem, FileIdentity, Grid, GridRequest, OutputFormat, is_folder, trusting
+from pcwlad_geo.raster.grid import is_invertible, linear_part
+from pcwlad_geo.raster.identity import same
 from pcwlad_geo.raster.rpc.planning import ground_grid
-from pcwlad_geo.raster.trust.permissions import trusting
 from pcwlad_geo.registration import (
     CorrectedRpc,
     Inputs,
     Registration,
+    RegistrationStatus,
     RpcRegistration,
     requested_grid,
     resolve,
 )
 from pcwlad_geo.registration.inputs import grid_request, identify_inputs
-from pcwlad_geo.report.content import SCHEMA_VERSION, Report
-from pcwlad_geo.text import mismatch, plain, read_json
+from pcwlad_geo.report.content import SCHEMA_VERSION, GridEntry, Report, RpcEntry
+from pcwlad_geo.text import joined, mismatch, plain, read_json, typed
 
-NUMBERS = "report.json"
+REPORT_FILE = "report.json"
 """Name of the file in an output folder that describes the registration."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRaster(GridEntry):
+    """The raster of an input as a report.json has it."""
+
+    path: str
+    """Path or GDAL URI."""
+    ground: GridEntry | None = None
+    """The grid onto which a reference with RPC is orthorectified; None for any other."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRequirement:
+    """A requirement as a report.json has it."""
+
+    met: bool
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReadSettings:
+    """The settings of a registration that say how its correction is applied."""
+
+    resampling: Resampling
+    grid: OutputGrid
+    trust_rpc: bool = False
+    like: str | None = None
+    tr: tuple[float, float] | None = None
+    te: tuple[float, float, float, float] | None = None
+    t_srs: str | None = None
+    of: str = "COG"
+    co: tuple[str, ...] = ()
+    keep: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ReadReport:
+    """What is read back of a report.json."""
+
+    status: RegistrationStatus
+    reference: ReadRaster
+    target: ReadRaster
+    settings: Mapping[str, object]
+    """By option name, as they are written."""
+    model: Mapping[str, object] | None = None
+    """The correction, as `from_dict` takes it."""
+    passed: bool | None = None
+    requirements: tuple[ReadRequirement, ...] = ()
+    output_grid: GridEntry | None = None
+    rpc: RpcEntry | None = None
+    inputs: tuple[FileIdentity, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,24 +116,25 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
     meet its requirements and was made without `keep`.
     """
     path = Path(folder)
-    path = path / NUMBERS if is_folder(path) else path
-    report = _report(path)
+    path = path / REPORT_FILE if is_folder(path) else path
+    content = _content(path)
     try:
-        _check_requirements(path, report)
-        settings = report["settings"]
+        report = typed(content, ReadReport)
+        settings = typed(report.settings, ReadSettings)
+        _check_requirements(path, report, settings)
         return FinishedRegistration(
-            correction=from_dict(report["model"]),
-            reference_grid=_grid(path, report["reference"].get("ground") or report["reference"]),
-            target_grid=_grid(path, report["target"]),
-            request=_request(path, report),
-            fmt=OutputFormat.of(settings.get("of", "COG"), settings.get("co", ())),
-            resampling=Settings.from_options({"resampling": settings["resampling"]}).resampling,
-            rpc=_rpc(report["rpc"], report["target"], settings) if report.get("rpc") else None,
-            inputs=tuple(FileIdentity.from_dict(each) for each in report.get("inputs", ())),
+            correction=from_dict(report.model or {}),
+            reference_grid=_grid(path, report.reference.ground or report.reference),
+            target_grid=_grid(path, report.target),
+            request=_request(path, report, settings),
+            fmt=OutputFormat.of(settings.of, settings.co),
+            resampling=settings.resampling,
+            rpc=_rpc(report.rpc, report.target, settings) if report.rpc else None,
+            inputs=report.inputs or (),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, CRSError, SettingsError) as error:
         raise InputError(
-            f"{path} is damaged ({type(error).__name__}: {error}): register the pair again"
+            f"{path} is damaged ({type(error).__name__}: {joined(error)}): register the pair again"
         ) from error
 
 
@@ -112,11 +161,11 @@ def finished(registration: Registration) -> FinishedRegistration:
 def read_report(out_dir: Path) -> dict[str, Any]:
     """Return the report.json of a folder; an empty dict if there is none of this program."""
     try:
-        report = read_json(out_dir / NUMBERS)
+        report = read_json(out_dir / REPORT_FILE)
     except (OSError, ValueError, InputError):
         return {}
-    known = isinstance(report, dict) and "schema_version" in report and "settings" in report
-    return report if known and mismatch(report, Report) is None else {}
+    is_ours = isinstance(report, dict) and "schema_version" in report and "settings" in report
+    return report if is_ours and mismatch(report, Report) is None else {}
 
 
 def report_of_same_job(
@@ -128,29 +177,31 @@ def report_of_same_job(
         return {}
     try:
         with trusting(settings.trust):
-            found = resolve(*inputs, settings, all_bands=command == "register")
-            if not _same_inputs(found, report):
+            resolved = resolve(*inputs, settings, all_bands=command == "register")
+            if not _same_inputs(resolved, report):
                 return {}
     except InputError:  # the job itself will raise it
         return {}
     reported = report["settings"] if isinstance(report["settings"], dict) else {}
     before = {name: value for name, value in reported.items() if name not in RUNNING}
-    wanted = {name: value for name, value in asdict(found.settings).items() if name not in RUNNING}
-    if wanted["no_report"] and before.get("no_report") is False:  # there is a page, which does no harm
-        wanted |= {"no_report": False}
-    return report if before == plain(wanted) else {}
+    present = {name: value for name, value in asdict(resolved.settings).items() if name not in RUNNING}
+    if present["no_report"] and before.get("no_report") is False:  # there is a page, which does no harm
+        present |= {"no_report": False}
+    return report if before == plain(present) else {}
 
 
 def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
     """Whether a report is about these files, and none has changed since."""
-    names = [inputs.reference, inputs.target]
     try:
-        if [report[which]["path"] for which in ("reference", "target")] != names:
-            return False
-        before = [FileIdentity.from_dict(each) for each in report["inputs"]]
-    except (KeyError, TypeError):  # a report of an earlier version, or a damaged one
+        before = typed(report, ReadReport)
+    except ValueError:  # a damaged one
         return False
-    return same(before, [file.identity for file in identify_inputs(inputs)])
+    if before.inputs is None or (before.reference.path, before.target.path) != (
+        inputs.reference,
+        inputs.target,
+    ):
+        return False
+    return same(before.inputs, [file.identity for file in identify_inputs(inputs)])
 
 
 def _corrected_rpc(rpc: RpcRegistration, registration: Registration) -> CorrectedRpc:
@@ -167,7 +218,7 @@ def _corrected_rpc(rpc: RpcRegistration, registration: Registration) -> Correcte
     )
 
 
-def _report(path: Path) -> Mapping[str, Any]:
+def _content(path: Path) -> Mapping[str, Any]:
     """Return the content of the report.json of a registration."""
     try:
         report = read_json(path)
@@ -200,60 +251,43 @@ def _report(path: Path) -> Mapping[str, Any]:
     return report
 
 
-def _check_requirements(path: Path, report: Mapping[str, Any]) -> None:
+def _check_requirements(path: Path, report: ReadReport, settings: ReadSettings) -> None:
     """Raise if the registration has no corrected raster because it does not meet its requirements."""
-    if report.get("passed") is not False or report["settings"].get("keep"):
+    if report.passed is not False or settings.keep:
         return
-    missed = "; ".join(each["message"] for each in report["requirements"] if not each["met"])
+    missed = "; ".join(requirement.message for requirement in report.requirements if not requirement.met)
     raise InputError(
         f"{path.parent} holds a registration that does not meet its requirements: {missed}; register the "
         "pair again with --keep, or without that requirement"
     )
 
 
-def _request(path: Path, report: Mapping[str, Any]) -> GridRequest:
+def _request(path: Path, report: ReadReport, settings: ReadSettings) -> GridRequest:
     """Return the requested output grid; a raster that defined it is not needed again."""
-    settings = report["settings"]
-    if settings.get("like") is not None:
-        return GridRequest(like=_grid(path, report["output_grid"]))
-    size, extent = (settings.get(name) for name in ("tr", "te"))
-    return grid_request(
-        settings["grid"],
-        None,
-        None if size is None else (float(size[0]), float(size[1])),
-        None if extent is None else (float(extent[0]), float(extent[1]), float(extent[2]), float(extent[3])),
-        settings.get("t_srs"),
-    )
+    if settings.like is not None and report.output_grid is not None:
+        return GridRequest(like=_grid(path, report.output_grid))
+    return grid_request(settings.grid, None, settings.tr, settings.te, settings.t_srs)
 
 
-def _rpc(rpc: Mapping[str, Any], target: Mapping[str, Any], settings: Mapping[str, Any]) -> CorrectedRpc:
-    rows, cols = target["shape"]
+def _rpc(rpc: RpcEntry, target: ReadRaster, settings: ReadSettings) -> CorrectedRpc:
+    if rpc.corrected is None:
+        raise ValueError("it has no corrected RPC")
     return CorrectedRpc(
-        original=_model(rpc["original"]),
-        corrected=_model(rpc["corrected"]),
-        shape=(int(rows), int(cols)),
-        dem=rpc["dem"],
-        dem_vertical=rpc["dem_vertical"],
-        height_m=rpc["height_m"],
-        trusted=bool(settings["trust_rpc"]),
+        original=rpc.original,
+        corrected=rpc.corrected,
+        shape=target.shape,
+        dem=rpc.dem,
+        dem_vertical=rpc.dem_vertical,
+        height_m=rpc.height_m,
+        trusted=settings.trust_rpc,
     )
 
 
-def _model(numbers: Mapping[str, Any]) -> RpcModel:
-    values: dict[str, Any] = {
-        name: tuple(float(number) for number in value) if isinstance(value, list) else float(value)
-        for name, value in numbers.items()
-    }
-    return RpcModel(**values)
-
-
-def _grid(path: Path, raster: Mapping[str, Any]) -> Grid:
+def _grid(path: Path, raster: GridEntry) -> Grid:
     """Return the grid that a report gives, which is bounded as one that a raster gives."""
-    rows, cols = (int(count) for count in raster["shape"])
-    crs = raster["crs"]
-    place = Affine(*(float(value) for value in raster["transform"]))
+    (rows, cols), place = raster.shape, Affine(*raster.transform)
     if min(rows, cols) < 1 or not is_invertible(linear_part(place)):
         raise ValueError(f"a raster of {cols} x {rows} pixels, or a geotransform without an inverse")
     check_shape(str(path), (rows, cols), 1)
-    check_geotransform(str(path), tuple(place)[:6], (rows, cols))
-    return Grid((rows, cols), place, None if crs is None else CRS.from_string(crs))
+    check_geotransform(str(path), raster.transform, (rows, cols))
+    return Grid((rows, cols), place, None if raster.crs is None else CRS.from_string(raster.crs))

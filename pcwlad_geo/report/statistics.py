@@ -17,13 +17,10 @@ from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.products.finding import native_per_px, native_px_m
-from pcwlad_geo.raster.file_tree import file_name
-from pcwlad_geo.raster.grid import pixel_sizes_m
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.grid import at_mean_height
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import Dem, RasterInfo, at_mean_height, file_name, pixel_sizes_m
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration.match_record import GROUND, MatchRecord
+from pcwlad_geo.report.json_content import PX_DIGITS, SHARE_DIGITS
 from pcwlad_geo.requirements import Requirement, RequirementResult, tells_accuracy, value_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
@@ -31,10 +28,14 @@ from pcwlad_geo.types import Bool, Float64
 KEPT: Final = ("fit", "check", "unused", "matched")
 """Statuses of the tie points that are included in displacement statistics."""
 PointGroup = Literal["all", "fit", "check"]
-GROUPS: Final[Mapping[PointGroup, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
+STATUSES: Final[Mapping[PointGroup, tuple[str, ...]]] = {"all": KEPT, "fit": ("fit",), "check": ("check",)}
 """Statuses of the tie points of a group, by its name."""
-DIGITS: Final = 5
-"""Number of decimal places of statistics."""
+LOST: Final = (*OUTCOMES[1:], "rejected")
+"""Reasons from rejected candidates: the stage that rejected most of those in the square."""
+REASONS: Final = (*GROUND[1:], "unread", "not_asked", *LOST, "unknown")
+"""Reasons for which a square has no tie point."""
+NO_DATA: Final = ("reference_without_data", "target_without_data")
+"""Reasons for which no tie point can be expected."""
 When = Literal["before", "after"]
 """State of the registration for which statistics are given: before or after the correction."""
 
@@ -42,11 +43,11 @@ When = Literal["before", "after"]
 def statistics_of(
     registration: Registration, when: When, group: PointGroup, sizes_m: Float64 | None
 ) -> dict[str, ErrorStatistics | None]:
-    """Return the statistics by unit of a `group` of `GROUPS` of a `registration`; `when`: before or after.
+    """Return the statistics by unit of a `group` of `STATUSES` of a `registration`; `when`: before or after.
 
     The (n, 2) `sizes_m` are those of `target_px_m`.
     """
-    of_group = np.isin(registration.tie_points.status, GROUPS[group])
+    of_group = np.isin(registration.tie_points.status, STATUSES[group])
     points = registration.tie_points[of_group]
     native_m, px_m = native_size_m(registration.reference, registration.target), registration.px_m
     native = None if px_m is None or native_m is None else native_per_px(px_m, native_m)
@@ -66,10 +67,6 @@ def native_size_m(*rasters: RasterInfo) -> float | None:
     return max((size for size in sizes if size is not None), default=None)
 
 
-LATTICE_SIDE = 80
-"""Number of nodes along the longer side of the target."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PrecisionMap:
     """Sigma on a lattice over the target."""
@@ -84,9 +81,12 @@ class PrecisionMap:
     """(rows, columns) array, True where the correction extrapolates beyond the tie points."""
 
     @classmethod
-    def of(cls, selection: Selection, target_shape: tuple[int, int]) -> PrecisionMap:
-        """Evaluate the sigma of a `selection` on a lattice over a target of `target_shape` (rows, cols)."""
-        step = max(target_shape) / LATTICE_SIDE
+    def of(cls, selection: Selection, target_shape: tuple[int, int], nodes: int = 80) -> PrecisionMap:
+        """Evaluate the sigma of a `selection` over a target of `target_shape` (rows, cols).
+
+        There are so many `nodes` along its longer side.
+        """
+        step = max(target_shape) / nodes
         rows, cols = ((np.arange(count) + 0.5) * side / count for side, count in _counts(target_shape, step))
         places = np.stack(np.meshgrid(cols, rows), axis=-1)
         flat = places.reshape(-1, 2)
@@ -108,25 +108,25 @@ def _counts(shape: tuple[int, int], step: float) -> list[tuple[int, int]]:
     return [(side, max(round(side / step), 1)) for side in shape]
 
 
-SQUARES: Final = 12
-"""Largest number of squares along the longer side of the reference."""
-MIN_DATA: Final = 0.1
-"""Least share of a square that can be matched; with less the square counts as without data."""
-LOST: Final = (*OUTCOMES[1:], "rejected")
-"""Reasons from rejected candidates: the stage that rejected most of those in the square."""
-REASONS: Final = (*GROUND[1:], "unread", "not_asked", *LOST, "unknown")
-"""Reasons for which a square has no tie point."""
-NO_DATA: Final = ("reference_without_data", "target_without_data")
-"""Reasons for which no tie point can be expected."""
-
-SHARE_DIGITS: Final = 3
-"""Number of decimal places of shares in the report."""
-JOINED: Final = 0.5
-"""Share of their extent that windows must exceed to count as contiguous tiles."""
-TINY: Final = 1e-9
-"""Tolerance of rounding errors in units of squares."""
-
 Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageParameters:
+    """How the squares are laid in which tie points are counted."""
+
+    most_squares: int = 12
+    """Largest number of squares along the longer side of the reference."""
+    least_data: float = 0.1
+    """Least share of a square that can be matched; with less the square counts as without data."""
+    contiguous_share: float = 0.5
+    """Share of their extent that windows must exceed to count as contiguous tiles."""
+    tolerance: float = 1e-9
+    """Of rounding errors, in units of squares."""
+
+
+COVERAGE: Final = CoverageParameters()
+"""As reports count."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,19 +152,27 @@ class Coverage:
         A square in which none was requested counts as covered if a neighbouring square has one.
         """
         with_data = ~np.isin(self.reason, NO_DATA)
-        near = cv2.dilate((self.points > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        missing = with_data & (self.points == 0) & ~(near & np.isin(self.reason, ("not_asked", "unknown")))
+        has_neighbour = cv2.dilate((self.points > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        missing = (
+            with_data & (self.points == 0) & ~(has_neighbour & np.isin(self.reason, ("not_asked", "unknown")))
+        )
         return float(missing.sum() / max(int(with_data.sum()), 1))
 
 
-def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRecord | None) -> Coverage:
+def coverage_of(
+    table: TiePointTable,
+    shape_px: tuple[int, int],
+    record: MatchRecord | None,
+    parameters: CoverageParameters = COVERAGE,
+) -> Coverage:
     """Count the tie points of each square of a reference of (rows, cols) `shape_px`; tell why there are none.
 
     The reason is the first that applies: no data in one of the images, too near to an edge, no structure, an
     unreadable part, no window or fewer points requested, the stage that rejected most candidates.
     """
-    step = max(max(shape_px) / SQUARES, _spacing_px(record))
-    frame = _Squares(shape_px, (max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))))
+    step = max(max(shape_px) / parameters.most_squares, _spacing_px(record, parameters.contiguous_share))
+    counts = max(1, round(shape_px[0] / step)), max(1, round(shape_px[1] / step))
+    frame = _Squares(shape_px, counts, parameters)
     points = frame.count(table.select(*KEPT).reference_px)
     reason = np.full(frame.squares, "unknown", dtype="<U24")
     if record is not None:
@@ -178,14 +186,14 @@ def coverage_of(table: TiePointTable, shape_px: tuple[int, int], record: MatchRe
     return Coverage(shape_px, points, np.where(points > 0, "", reason))
 
 
-def _spacing_px(record: MatchRecord | None) -> float:
+def _spacing_px(record: MatchRecord | None, contiguous_share: float) -> float:
     """Return the spacing of separate windows, the least side of a square, px; 0 for contiguous tiles."""
     if record is None or not record.searched:
         return 0.0
     first, last = record.windows_px[:, :2], record.windows_px[:, 2:]
     region = float(np.prod(np.nanmax(last, axis=0) - np.nanmin(first, axis=0)))
     covered = float(np.nansum((last - first).prod(axis=1)))
-    return (region / len(first)) ** 0.5 if covered < JOINED * region else 0.0
+    return (region / len(first)) ** 0.5 if covered < contiguous_share * region else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +202,7 @@ class _Squares:
 
     shape_px: tuple[int, int]
     squares: tuple[int, int]
+    parameters: CoverageParameters
 
     def count(self, at_px: Float64) -> Counts:
         """Return the (rows, columns) number of (n, 2) positions `at_px` (col, row), px, in each square."""
@@ -205,35 +214,36 @@ class _Squares:
 
     def touched(self, boxes_px: Float64) -> Bool:
         """Return the squares that a box of (n, 4) `boxes_px` overlaps by half a side of either."""
-        found = np.zeros(self.squares, bool)
+        mask, tiny = np.zeros(self.squares, bool), self.parameters.tolerance
         scale = np.array([self.squares[1] / self.shape_px[1], self.squares[0] / self.shape_px[0]])
         for box in boxes_px[np.isfinite(boxes_px).all(axis=1)]:
             first, last = box[:2] * scale, box[2:] * scale
             half = np.minimum(last - first, 1.0) / 2
-            begin = np.maximum(np.ceil(first + half - 1.0 - TINY), 0).astype(int)
-            end = np.maximum(np.floor(last - half + TINY) + 1, 0).astype(int)
-            found[begin[1] : end[1], begin[0] : end[0]] = True
-        return found
+            begin = np.maximum(np.ceil(first + half - 1.0 - tiny), 0).astype(int)
+            end = np.maximum(np.floor(last - half + tiny) + 1, 0).astype(int)
+            mask[begin[1] : end[1], begin[0] : end[0]] = True
+        return mask
 
 
 def _by_ground(ground: NDArray[np.uint8], frame: _Squares) -> NDArray[np.str_]:
     """Return the reason why a square cannot be matched at all; empty where it can."""
     usable, flat, edge, *without = (_share(ground == index, frame.squares) for index in range(len(GROUND)))
-    reason = np.where(usable < MIN_DATA, "no_texture", "")
-    reason = np.where(usable + flat < MIN_DATA, "edge", reason)
+    least = frame.parameters.least_data
+    reason = np.where(usable < least, "no_texture", "")
+    reason = np.where(usable + flat < least, "edge", reason)
     worst = np.array(GROUND[3:])[np.argmax(without, axis=0)]
-    return np.where(usable + flat + edge < MIN_DATA, worst, reason)
+    return np.where(usable + flat + edge < least, worst, reason)
 
 
 def _by_matching(record: MatchRecord, rejected: Counts, frame: _Squares) -> NDArray[np.str_]:
     """Return the reasons from the matching for squares without tie points."""
     places, outcome = record.lost.reference_xy_px, record.lost.outcome
-    lost = [frame.count(places[outcome == index]) for index in range(1, len(OUTCOMES))]
-    losses = np.array([*lost, rejected])
+    stage_losses = [frame.count(places[outcome == index]) for index in range(1, len(OUTCOMES))]
+    losses = np.array([*stage_losses, rejected])
     reason = np.array(LOST, dtype="<U24")[losses.argmax(axis=0)]
     no_candidate = losses.sum(axis=0) == 0
-    asked, without_structure = frame.touched(record.windows_px), frame.touched(record.without_structure_px)
-    reason = np.where(no_candidate, np.where(asked | without_structure, "no_texture", "not_asked"), reason)
+    searched, without_structure = frame.touched(record.windows_px), frame.touched(record.without_structure_px)
+    reason = np.where(no_candidate, np.where(searched | without_structure, "no_texture", "not_asked"), reason)
     unread = frame.touched(record.windows_px[record.unread])
     return np.where(no_candidate & unread, "unread", reason)
 
@@ -279,7 +289,7 @@ def _judge(registration: Registration, requirement: Requirement) -> RequirementR
         return RequirementResult(requirement, None, "the pair was refused")
     if requirement.unit is not None:
         found = _length(registration, requirement)
-        value, reason = (None, found) if isinstance(found, str) else (round(found, DIGITS), None)
+        value, reason = (None, found) if isinstance(found, str) else (round(found, PX_DIGITS), None)
         caveat = _caveat(registration, requirement) if requirement.is_met(value) else None
         return RequirementResult(requirement, value, reason, caveat)
     figure = _figure(registration, requirement.statistic)

@@ -15,46 +15,47 @@ from rasterio.errors import RasterioError
 from pcwlad_geo.correction.points import thin
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.plausible import is_plausible
-from pcwlad_geo.raster.grid import Window, jacobian, map_px
-from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.source import RasterInfo, has_quick_overview
-from pcwlad_geo.raster.view import Patch, View
+from pcwlad_geo.raster import Patch, RasterInfo, View, Window, jacobian, map_px, open_raster
+from pcwlad_geo.raster.source import has_quick_overview
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.statistics import KEPT
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
-SIDE_PX: Final = 360
-"""Side of a view on the page."""
-SHOWN_PX: Final = (40.0, 400.0)
-"""Least and largest number of target pixels along a side of a view."""
-SIDES_PER_DISPLACEMENT: Final = 30.0
-"""Width of a view in displacements, within the limits, so that displacements are visible."""
-EDGES: Final = 36
-"""Number of places at which an edge is looked for that shows the displacement."""
-LOOKED_AT: Final = 64
-"""Number of samples along a side of a view when edges are looked for."""
-EDGE_SHARE: Final = 8.0
-"""A side of the view, in standard deviations of the window in which an edge has to be straight."""
-BACKDROP_PX: Final = 350
-"""Longer side of the image behind maps."""
-NODES: Final = 25
-"""Number of nodes along a side at which the mapping is evaluated; it is linear between them."""
-MARGIN_PX: Final = 8
-"""Margin of the pixels read around the samples."""
-MAX_SOURCE_PX: Final = 3000
-"""Largest side of the part of a file that is read for a view."""
-SQUARES: Final = 8
-"""Number of squares along a side of a checkerboard."""
-MOSTLY_VALID: Final = 0.99
-"""Least share of valid pixels around a sample for it to be valid."""
-WHOLE_PX: Final = 1024
-"""Largest side of a raster that is read as a whole for its views: opening it for each takes longer."""
-
 Picture = NDArray[np.uint8]
 Reader = Callable[[Window], Patch]
-Readers = tuple[Reader, Reader]
-"""Of the reference and of the target."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewParameters:
+    """Sizes of views, and the search for the edge that one shows."""
+
+    side_px: int = 360
+    """Side of a view on the page."""
+    shown_px: tuple[float, float] = (40.0, 400.0)
+    """Least and largest number of target pixels along a side of a view."""
+    sides_per_displacement: float = 30.0
+    """Width of a view in displacements, within the limits, so that displacements are visible."""
+    edges: int = 36
+    """Number of places at which an edge is looked for that shows the displacement."""
+    samples: int = 64
+    """Number of samples along a side of a view when edges are looked for."""
+    edge_share: float = 8.0
+    """A side of the view, in standard deviations of the window in which an edge has to be straight."""
+    nodes: int = 25
+    """Number of nodes along a side at which the mapping is evaluated; it is linear between them."""
+    margin_px: int = 8
+    """Margin of the pixels read around the samples."""
+    most_source_px: int = 3000
+    """Largest side of the part of a file that is read for a view."""
+    whole_px: int = 1024
+    """Largest side of a raster that is read as a whole for its views: opening it for each takes longer."""
+    least_valid: float = 0.99
+    """Least share of valid pixels around a sample for it to be valid."""
+
+
+VIEWS: Final = ViewParameters()
+"""As pages show them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,13 +75,13 @@ class PairView:
     """The target corrected; None without a correction."""
 
 
-def read_backdrop(info: RasterInfo) -> Picture | None:
+def read_backdrop(info: RasterInfo, side_px: int = 350) -> Picture | None:
     """Return a reduced raster as a (rows, cols) array of uint8 grey values, 0 where it has no data.
 
-    The longer side has at most `BACKDROP_PX` pixels. The result is None if reading fails or would take long.
+    The longer side has at most `side_px` pixels. The result is None if reading fails or would take long.
     """
     rows, cols = info.grid.shape
-    factor = max(1.0, max(rows, cols) / BACKDROP_PX)
+    factor = max(1.0, max(rows, cols) / side_px)
     shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
     try:
         if not has_quick_overview(info):
@@ -93,16 +94,23 @@ def read_backdrop(info: RasterInfo) -> Picture | None:
     return stretched(values, valid)
 
 
-def pair_views(registration: Registration) -> list[PairView]:
+def pair_views(registration: Registration, parameters: ViewParameters = VIEWS) -> list[PairView]:
     """Return views of a clear edge and of the largest residual; none if the files cannot be read."""
     try:
-        read = _reader(registration.reference), _reader(registration.target)
-        views = [_view(registration, read, title, centre) for title, centre in _places(registration, read)]
+        viewer = _Viewer(
+            registration,
+            _reader(registration.reference, parameters.whole_px),
+            _reader(registration.target, parameters.whole_px),
+            parameters,
+        )
+        views = [viewer.view(title, centre_px) for title, centre_px in viewer.places()]
     except (InputError, RasterioError):
         return []
-    shown = [view for view in views if view is not None]
-    same = len(shown) == 2 and np.allclose(shown[0].centre_px, shown[1].centre_px, atol=shown[0].shown_px / 4)
-    return shown[:1] if same else shown
+    visible = [view for view in views if view is not None]
+    same = len(visible) == 2 and np.allclose(
+        visible[0].centre_px, visible[1].centre_px, atol=visible[0].shown_px / 4
+    )
+    return visible[:1] if same else visible
 
 
 def stretched(values: Float64, valid: Bool) -> Picture:
@@ -117,16 +125,16 @@ def stretched(values: Float64, valid: Bool) -> Picture:
     return np.where(valid, grey, 0).astype(np.uint8)
 
 
-def checkered(one: Picture, other: Picture) -> Picture:
-    """Return the (n, n) uint8 images `one` and `other` in alternate squares, the first in the corner."""
-    rows, cols = (np.arange(side) * SQUARES // side for side in one.shape)
+def checkered(one: Picture, other: Picture, squares: int = 8) -> Picture:
+    """Return the (n, n) uint8 images `one` and `other` in alternate squares, so many along a side."""
+    rows, cols = (np.arange(side) * squares // side for side in one.shape)
     return np.where((rows[:, None] + cols) % 2 == 0, one, other)
 
 
-def _reader(info: RasterInfo) -> Reader:
+def _reader(info: RasterInfo, whole_px: int) -> Reader:
     """Return what reads the windows of a band, by one reading of all of it where it is small."""
     view, everything = View(info, info.grid, "none"), Window.whole(info.grid.shape)
-    if max(everything.shape) > WHOLE_PX:
+    if max(everything.shape) > whole_px:
         return view.read
     try:
         whole = view.read(everything)
@@ -134,72 +142,10 @@ def _reader(info: RasterInfo) -> Reader:
         return view.read
 
     def part(window: Window) -> Patch:
-        here = window.slices_in(everything)
-        return Patch(whole.values[here], whole.valid[here])
+        part_of_whole = window.slices_in(everything)
+        return Patch(whole.values[part_of_whole], whole.valid[part_of_whole])
 
     return part
-
-
-def _places(registration: Registration, read: Readers) -> list[tuple[str, Float64]]:
-    kept = registration.tie_points.select(*KEPT)
-    if len(kept) == 0:
-        rows, cols = registration.reference.grid.shape
-        return [("the middle", np.array([cols / 2, rows / 2]))]
-    best = kept.reference_px[int(np.nanargmax(np.nan_to_num(kept.score)))]
-    edge = _telling_edge(registration, read, kept) if registration.correction else None
-    places = [("the most distinct match", best) if edge is None else ("the clearest edge", edge)]
-    residual = np.nan_to_num(np.hypot(*kept.residual_px.T))
-    if residual.any():
-        places.append(("the largest residual", kept.reference_px[int(residual.argmax())]))
-    return places
-
-
-def _telling_edge(registration: Registration, read: Readers, kept: TiePointTable) -> Float64 | None:
-    """Return where, near the tie points, an edge makes the largest step; None if none does."""
-    at_px = kept.reference_px[thin(kept.reference_px, np.hypot(*kept.sigma_px.T), EDGES)]
-    steps = [_step(_outlook(registration, each), registration, read) for each in at_px]
-    best = int(np.argmax([step for step, _ in steps]))
-    if not steps[best][0] > 0:
-        return None
-    return np.asarray(at_px[best] + steps[best][1] * _side(registration, at_px[best])[0])
-
-
-def _step(outlook: _Outlook | None, registration: Registration, read: Readers) -> tuple[float, Float64]:
-    """Return the largest step of an edge at a line before the correction, and where, in sides of the view.
-
-    It is how far the displacement moves a straight edge of both images across itself, times its contrast and
-    coherence: the mean squared complex gradient is long there (structure tensor, Bigün and Granlund 1987).
-    """
-    if outlook is None or outlook.observed is None:
-        return 0.0, np.zeros(2)
-    reference, target = registration.reference, registration.target
-    places = (reference, read[0], outlook.nodes), (target, read[1], outlook.observed)
-    one, other = (
-        _squared_gradient(stretched(*_sampled(info, reader, _dense(nodes, LOOKED_AT))))
-        for info, reader, nodes in places
-    )
-    both = one * np.abs(other) + other * np.abs(one)
-    size, real, imaginary = (
-        cv2.GaussianBlur(each, (0, 0), len(one) / EDGE_SHARE)
-        for each in (2 * np.abs(one * other), both.real, both.imag)
-    )
-    shared = real + 1j * imaginary
-    across = np.angle(shared) / 2
-    col_px, row_px = outlook.moved
-    moved = np.abs(np.cos(across) * col_px + np.sin(across) * row_px)
-    coherence = np.abs(shared) / np.maximum(size, 1e-12)
-    steps = np.nan_to_num(np.abs(shared) ** 0.25 * coherence * moved * np.abs(np.sin(across)))
-    inner = len(one) // 4
-    steps[:inner], steps[-inner:], steps[:, :inner], steps[:, -inner:] = 0, 0, 0, 0
-    row, col = np.unravel_index(int(steps.argmax()), steps.shape)
-    return float(steps[row, col]), (np.array([col, row]) + 0.5) / len(one) - 0.5
-
-
-def _squared_gradient(image: Picture) -> NDArray[np.complex64]:
-    """Return the squared gradient of an image as complex numbers; 0 where it lacks data."""
-    soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
-    gradient = cv2.Sobel(soft, cv2.CV_32F, 1, 0) + 1j * cv2.Sobel(soft, cv2.CV_32F, 0, 1)
-    return image.all() * gradient**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +157,7 @@ class _Outlook:
     shown_px: float
     """Length of a side, target px."""
     nodes: Float64
-    """(`NODES`, `NODES`, 2) places (col, row) on the reference, px."""
+    """(n, n, 2) places (col, row) on the reference, px."""
     predicted: Float64
     """The same places on the target by its georeferencing, px."""
     observed: Float64 | None
@@ -222,39 +168,148 @@ class _Outlook:
         """(2,) displacement (col, row) in the middle, target px."""
         if self.observed is None:
             return np.zeros(2)
-        return np.asarray((self.observed - self.predicted)[NODES // 2, NODES // 2])
+        middle = len(self.nodes) // 2
+        return np.asarray((self.observed - self.predicted)[middle, middle])
 
 
-def _outlook(registration: Registration, centre_px: Float64) -> _Outlook | None:
-    """Return which pixels the view around a place shows; None where that of the target is not known."""
-    predict = _prediction(registration)
-    side_px, shown_px = _side(registration, centre_px)
-    room = np.array(registration.reference.grid.shape[::-1], dtype=np.float64)
-    centre_px = np.clip(centre_px, np.minimum(side_px, room) / 2, room - np.minimum(side_px, room) / 2)
-    nodes = centre_px + (np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, NODES)] * 2), -1) * side_px)
-    predicted = predict(nodes.reshape(-1, 2)).reshape(nodes.shape)
-    if not np.isfinite(predicted).all():
-        return None
-    correction, observed = registration.correction, None
-    if correction is not None:
-        observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
-    return _Outlook(centre_px, shown_px, nodes, predicted, observed)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Viewer:
+    """Chooses and draws the views of a registration."""
+
+    registration: Registration
+    read_reference: Reader
+    read_target: Reader
+    parameters: ViewParameters
+
+    def places(self) -> list[tuple[str, Float64]]:
+        points = self.registration.tie_points.select(*KEPT)
+        if len(points) == 0:
+            rows, cols = self.registration.reference.grid.shape
+            return [("the middle", np.array([cols / 2, rows / 2]))]
+        best = points.reference_px[int(np.nanargmax(np.nan_to_num(points.score)))]
+        edge = self._clearest_edge(points) if self.registration.correction else None
+        places = [("the most distinct match", best) if edge is None else ("the clearest edge", edge)]
+        residual = np.nan_to_num(np.hypot(*points.residual_px.T))
+        if residual.any():
+            places.append(("the largest residual", points.reference_px[int(residual.argmax())]))
+        return places
+
+    def view(self, title: str, centre_px: Float64) -> PairView | None:
+        """Return a view; None where the target cannot be seen."""
+        outlook = self._outlook(centre_px)
+        if outlook is None:
+            return None
+        side_px = self.parameters.side_px
+        of_target = partial(self._sampled, self.registration.target, self.read_target)
+        before = of_target(_dense(outlook.predicted, side_px))
+        after = None if outlook.observed is None else of_target(_dense(outlook.observed, side_px))
+        if not before[1].any() and (after is None or not after[1].any()):
+            return None
+        grey = stretched(
+            *self._sampled(self.registration.reference, self.read_reference, _dense(outlook.nodes, side_px))
+        )
+        col, row = outlook.centre_px.tolist()
+        corrected = None if after is None else stretched(*after)
+        return PairView(title, (col, row), outlook.shown_px, grey, stretched(*before), corrected)
+
+    def _clearest_edge(self, points: TiePointTable) -> Float64 | None:
+        """Return where, near the tie points, an edge makes the largest step; None if none does."""
+        at_px = points.reference_px[
+            thin(points.reference_px, np.hypot(*points.sigma_px.T), self.parameters.edges)
+        ]
+        steps = [self._step(self._outlook(place)) for place in at_px]
+        best = int(np.argmax([step for step, _ in steps]))
+        if not steps[best][0] > 0:
+            return None
+        return np.asarray(at_px[best] + steps[best][1] * self._side(at_px[best])[0])
+
+    def _step(self, outlook: _Outlook | None) -> tuple[float, Float64]:
+        """Return the largest step of an edge before the correction, and where, in sides of the view.
+
+        It is how far the displacement moves a straight edge of both images across itself, times its contrast
+        and coherence: the mean squared complex gradient is long there (structure tensor, Bigün and Granlund
+        1987).
+        """
+        if outlook is None or outlook.observed is None:
+            return 0.0, np.zeros(2)
+        reference, target = self.registration.reference, self.registration.target
+        places = (reference, self.read_reference, outlook.nodes), (target, self.read_target, outlook.observed)
+        one, other = (
+            _squared_gradient(stretched(*self._sampled(info, reader, _dense(nodes, self.parameters.samples))))
+            for info, reader, nodes in places
+        )
+        both = one * np.abs(other) + other * np.abs(one)
+        size, real, imaginary = (
+            cv2.GaussianBlur(component, (0, 0), len(one) / self.parameters.edge_share)
+            for component in (2 * np.abs(one * other), both.real, both.imag)
+        )
+        shared = real + 1j * imaginary
+        across = np.angle(shared) / 2
+        col_px, row_px = outlook.moved
+        across_px = np.abs(np.cos(across) * col_px + np.sin(across) * row_px)
+        coherence = np.abs(shared) / np.maximum(size, 1e-12)
+        steps = np.nan_to_num(np.abs(shared) ** 0.25 * coherence * across_px * np.abs(np.sin(across)))
+        inner = len(one) // 4
+        steps[:inner], steps[-inner:], steps[:, :inner], steps[:, -inner:] = 0, 0, 0, 0
+        row, col = np.unravel_index(int(steps.argmax()), steps.shape)
+        return float(steps[row, col]), (np.array([col, row]) + 0.5) / len(one) - 0.5
+
+    def _outlook(self, centre_px: Float64) -> _Outlook | None:
+        """Return which pixels the view around a place shows; None where that of the target is not known."""
+        predict = _prediction(self.registration)
+        side_px, shown_px = self._side(centre_px)
+        room = np.array(self.registration.reference.grid.shape[::-1], dtype=np.float64)
+        centre_px = np.clip(centre_px, np.minimum(side_px, room) / 2, room - np.minimum(side_px, room) / 2)
+        nodes = centre_px + (
+            np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, self.parameters.nodes)] * 2), -1) * side_px
+        )
+        predicted = predict(nodes.reshape(-1, 2)).reshape(nodes.shape)
+        if not np.isfinite(predicted).all():
+            return None
+        correction, observed = self.registration.correction, None
+        if correction is not None:
+            observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
+        return _Outlook(centre_px, shown_px, nodes, predicted, observed)
+
+    def _side(self, centre_px: Float64) -> tuple[float, float]:
+        """Return the length of a side of a view in reference px and in target px."""
+        reference, target = self.registration.reference, self.registration.target
+        target_px_per_px = 1.0
+        if reference.georeferenced and target.georeferenced:
+            ratio = abs(np.linalg.det(jacobian(centre_px[None], reference.grid, target.grid)[0])) ** 0.5
+            target_px_per_px = float(ratio) if np.isfinite(ratio) and ratio > 0 else 1.0
+        lengths = np.hypot(*self.registration.tie_points.select(*KEPT).displacement_px.T)
+        wanted_px = (
+            self.parameters.sides_per_displacement * float(np.median(lengths))
+            if len(lengths)
+            else sum(self.parameters.shown_px) / 2
+        )
+        side_px = float(np.clip(wanted_px, *self.parameters.shown_px))
+        return side_px / target_px_per_px, side_px
+
+    def _sampled(self, info: RasterInfo, read: Reader, at_px: Float64) -> tuple[Float64, Bool]:
+        """Return (n, n) samples of a band at (n, n, 2) positions (col, row), and their validity."""
+        nothing = np.zeros(at_px.shape[:2])
+        if np.isnan(at_px).any():  # beyond the horizon of the correction
+            return nothing, nothing > 0
+        # beyond whole numbers, far outside
+        at_px = np.clip(at_px, -1.0, np.array(info.grid.shape[::-1]) + 1.0)
+        window = Window.around(at_px.min(axis=(0, 1)), at_px.max(axis=(0, 1)))
+        window = window.padded(self.parameters.margin_px).clipped(info.grid.shape)
+        if window.empty or max(window.shape) > self.parameters.most_source_px:
+            return nothing, nothing > 0
+        patch = read(window)
+        at = (at_px - [window.col, window.row] - 0.5).astype(np.float32)
+        values = cv2.remap(patch.values.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_CUBIC)
+        valid = cv2.remap(patch.valid.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+        return values.astype(np.float64), valid > self.parameters.least_valid
 
 
-def _view(registration: Registration, read: Readers, title: str, centre_px: Float64) -> PairView | None:
-    """Return a view; None where the target cannot be seen."""
-    outlook = _outlook(registration, centre_px)
-    if outlook is None:
-        return None
-    of_target = partial(_sampled, registration.target, read[1])
-    before = of_target(_dense(outlook.predicted, SIDE_PX))
-    after = None if outlook.observed is None else of_target(_dense(outlook.observed, SIDE_PX))
-    if not before[1].any() and (after is None or not after[1].any()):
-        return None
-    grey = stretched(*_sampled(registration.reference, read[0], _dense(outlook.nodes, SIDE_PX)))
-    col, row = outlook.centre_px.tolist()
-    corrected = None if after is None else stretched(*after)
-    return PairView(title, (col, row), outlook.shown_px, grey, stretched(*before), corrected)
+def _squared_gradient(image: Picture) -> NDArray[np.complex64]:
+    """Return the squared gradient of an image as complex numbers; 0 where it lacks data."""
+    soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
+    gradient = cv2.Sobel(soft, cv2.CV_32F, 1, 0) + 1j * cv2.Sobel(soft, cv2.CV_32F, 0, 1)
+    return image.all() * gradient**2
 
 
 def _prediction(registration: Registration) -> Callable[[Float64], Float64]:
@@ -265,45 +320,15 @@ def _prediction(registration: Registration) -> Callable[[Float64], Float64]:
     return lambda at_px: map_px(at_px, reference.grid, target.grid)
 
 
-def _side(registration: Registration, centre_px: Float64) -> tuple[float, float]:
-    """Return the length of a side of a view in reference px and in target px."""
-    reference, target = registration.reference, registration.target
-    target_px_per_px = 1.0
-    if reference.georeferenced and target.georeferenced:
-        found = abs(np.linalg.det(jacobian(centre_px[None], reference.grid, target.grid)[0])) ** 0.5
-        target_px_per_px = float(found) if np.isfinite(found) and found > 0 else 1.0
-    lengths = np.hypot(*registration.tie_points.select(*KEPT).displacement_px.T)
-    wanted = SIDES_PER_DISPLACEMENT * float(np.median(lengths)) if len(lengths) else sum(SHOWN_PX) / 2
-    shown = float(np.clip(wanted, *SHOWN_PX))
-    return shown / target_px_per_px, shown
-
-
 def _dense(nodes: Float64, count: int) -> Float64:
     """Interpolate (n, n, 2) nodes linearly at `count` x `count` pixel centres."""
-    weights = _weights(count)
+    weights = _weights(count, len(nodes))
     axes = np.ascontiguousarray(np.moveaxis(nodes, -1, 0))  # otherwise no BLAS multiplies them
     return np.moveaxis(np.stack([weights @ axis @ weights.T for axis in axes]), 0, -1)
 
 
 @cache
-def _weights(count: int) -> Float64:
-    """Return the (count, n) weights of the n nodes of an axis at each pixel centre."""
-    at = (np.arange(count) + 0.5) / count * (NODES - 1)
-    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
-
-
-def _sampled(info: RasterInfo, read: Reader, at_px: Float64) -> tuple[Float64, Bool]:
-    """Return (n, n) samples of a band at (n, n, 2) positions (col, row), and their validity."""
-    nothing = np.zeros(at_px.shape[:2])
-    if np.isnan(at_px).any():  # beyond the horizon of the correction
-        return nothing, nothing > 0
-    at_px = np.clip(at_px, -1.0, np.array(info.grid.shape[::-1]) + 1.0)  # beyond whole numbers, far outside
-    window = Window.around(at_px.min(axis=(0, 1)), at_px.max(axis=(0, 1))).padded(MARGIN_PX)
-    window = window.clipped(info.grid.shape)
-    if window.empty or max(window.shape) > MAX_SOURCE_PX:
-        return nothing, nothing > 0
-    patch = read(window)
-    at = (at_px - [window.col, window.row] - 0.5).astype(np.float32)
-    values = cv2.remap(patch.values.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_CUBIC)
-    valid = cv2.remap(patch.valid.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-    return values.astype(np.float64), valid > MOSTLY_VALID
+def _weights(count: int, nodes: int) -> Float64:
+    """Return the (count, nodes) weights of the nodes of an axis at each pixel centre."""
+    at = (np.arange(count) + 0.5) / count * (nodes - 1)
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(nodes)))

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.limits import RIG_FRAMES
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.cameras import camera_of, exif_of, xmp_of
 from pcwlad_geo.raster.file_tree import is_folder, plain_name
 from pcwlad_geo.raster.opening import open_raster
@@ -99,8 +99,8 @@ def find_frames(captures: Iterable[PathLike]) -> list[Path]:
             files.append(place)
         else:
             raise InputError(f"{place} does not exist: give frames, or folders of frames")
-        if len(files) > RIG_FRAMES:
-            raise InputError(f"there are more than {RIG_FRAMES} frames: give fewer folders at a time")
+        if len(files) > LIMITS.rig_frames:
+            raise InputError(f"there are more than {LIMITS.rig_frames} frames: give fewer folders at a time")
     if not files:
         raise InputError(f"no frames ({', '.join(ENDINGS)}) in the folders given: name others")
     return list(dict.fromkeys(files))

@@ -15,7 +15,7 @@ from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, Warned, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.execution.workers import open_runner
-from pcwlad_geo.limits import JOBS, RIG_LENSES
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster.trust.permissions import Trust, trusting
@@ -174,11 +174,11 @@ def _whole(captures: Sequence[Capture], on_event: EventCallback) -> Iterator[Cap
     names = Counter(name for capture in captures for name in capture.frames)
     # a lens of a stray file is none of the rig's
     lenses = {name for name, count in names.items() if count >= max(1, 0.5 * len(captures))}
-    if not 2 <= len(lenses) <= RIG_LENSES:
+    if not 2 <= len(lenses) <= LIMITS.rig_lenses:
         listed = ", ".join(sorted(names)) or "none"
         raise InputError(
-            f"the {len(captures)} captures found have not two to {RIG_LENSES} lenses in common (lenses: "
-            f"{listed[:200]}): name frames of one camera, or give --pattern"
+            f"the {len(captures)} captures found have not two to {LIMITS.rig_lenses} lenses in common (lenses"
+            f": {listed[:200]}): name frames of one camera, or give --pattern"
         )
     complete = 0
     for capture in captures:
@@ -211,6 +211,6 @@ def _check_one_camera(captures: Sequence[Capture]) -> None:
 
 def checked_jobs(jobs: int | None) -> int | None:
     """Return a number of processes; raises `InputError` if it is none that can be."""
-    if jobs is not None and not 1 <= jobs <= JOBS:
-        raise InputError(f"jobs = {jobs}: give 1 to {JOBS} processes")
+    if jobs is not None and not 1 <= jobs <= LIMITS.jobs:
+        raise InputError(f"jobs = {jobs}: give 1 to {LIMITS.jobs} processes")
     return jobs

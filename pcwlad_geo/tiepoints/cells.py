@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import POINTS, SIGMA_PX, check_count
+from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.types import Float64
 
 MOST_CORRELATED: Final = 0.999999
@@ -43,7 +43,7 @@ class Table:
                 if not columns:
                     columns = tuple(cell.strip().lower() for cell in cells)
                     continue
-                check_count(path, len(rows) + 1, POINTS, "points")
+                check_count(path, len(rows) + 1, LIMITS.points, "points")
                 rows.append((reader.line_num, dict(zip(columns, cells, strict=False))))
         except csv.Error as error:
             raise InputError(f"{path} cannot be read as a table: {error}") from error
@@ -101,12 +101,12 @@ def number_in(path: str, line: int, name: str, text: str) -> float:
 
 
 def check_sigma(path: Path | str, line: int, column: str, text: str, value: float) -> None:
-    """Check that a cell with a standard deviation is empty or a positive number within `SIGMA_PX`.
+    """Check that a cell with a standard deviation is empty or a positive number within `sigma_px``.
 
     Raises `InputError`, with the path, line and column, if the cell is neither; `value` is NaN for an empty
     one.
     """
-    least, most = SIGMA_PX
+    least, most = LIMITS.sigma_px
     if text and not least <= value <= most:
         raise InputError(
             f"{path}, line {line}: {column} is '{text}': give a positive number from {least:g} to {most:g} "

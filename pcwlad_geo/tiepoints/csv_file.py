@@ -10,7 +10,7 @@ import numpy as np
 
 from pcwlad_geo.tiepoints.cells import Table
 from pcwlad_geo.tiepoints.format import PointFile, PointSource, TiePointFormat
-from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable, columns_of
+from pcwlad_geo.tiepoints.table import POINT_COLUMNS, TiePointTable, columns_of
 
 POSITIONS: Final = ("ref_col", "ref_row", "tgt_col", "tgt_row")
 """The columns that a CSV of tie points must have."""
@@ -24,7 +24,7 @@ def write_csv(table: TiePointTable, path: Path) -> None:
     cells = [_cells(name, values.tolist()) for name, values in columns_of(table).items()]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(POINT_COLUMNS)
         writer.writerows(zip(*cells, strict=True))
 
 

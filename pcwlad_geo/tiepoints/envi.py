@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import POINTS, check_count
+from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.text import write_lines
 from pcwlad_geo.tiepoints.cells import number_in
 from pcwlad_geo.tiepoints.format import PointFile, PointRasters, PointSource, TiePointFormat
@@ -69,7 +69,7 @@ def _read(source: PointSource) -> PointFile:
 
 
 def _rows(path: str, lines: Sequence[str], width: int) -> Iterator[list[float]]:
-    check_count(path, len(lines), 2 * POINTS, "lines")  # including comments
+    check_count(path, len(lines), 2 * LIMITS.points, "lines")  # including comments
     for number, line in enumerate(lines, start=1):
         cells = line.replace(",", " ").split()
         if not cells or cells[0].startswith(";"):

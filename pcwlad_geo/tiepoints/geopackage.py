@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError, OutputError
-from pcwlad_geo.limits import POINTS, check_count
+from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.raster import Grid
 from pcwlad_geo.raster.crs import moved_xy
 from pcwlad_geo.raster.vectors import SQLITE_HEAD, sqlite_file
@@ -21,7 +21,7 @@ from pcwlad_geo.tiepoints.cells import Table
 from pcwlad_geo.tiepoints.csv_file import points_of
 from pcwlad_geo.tiepoints.format import PointFile, PointSource, TiePointFormat
 from pcwlad_geo.tiepoints.qgis_styles import arrows_style, enlargement, points_style
-from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable, columns_of
+from pcwlad_geo.tiepoints.table import POINT_COLUMNS, TiePointTable, columns_of
 from pcwlad_geo.types import Float64
 
 # A constant time stamp, so that the same points give the same file.
@@ -137,18 +137,21 @@ def _add_styles(database: sqlite3.Connection, styles: Mapping[str, str]) -> None
 def _read(source: PointSource) -> PointFile:
     """Read the columns of the layer tie_points, without its geometries."""
     path = source.path
-    names = ", ".join(f'iif(length("{name}") < 100, "{name}", NULL)' for name in COLUMNS)
+    names = ", ".join(f'iif(length("{name}") < 100, "{name}", NULL)' for name in POINT_COLUMNS)
     try:
         with sqlite_file(Path(path)) as database:
-            cells = database.execute(f"SELECT {names} FROM tie_points").fetchmany(POINTS + 1)
+            cells = database.execute(f"SELECT {names} FROM tie_points").fetchmany(LIMITS.points + 1)
     except sqlite3.Error as error:
         raise InputError(f"{path} holds no layer tie_points as pcwlad-geo writes it: {error}") from error
-    check_count(path, len(cells), POINTS, "points")
+    check_count(path, len(cells), LIMITS.points, "points")
     rows = [
-        (number, {name: "" if cell is None else str(cell) for name, cell in zip(COLUMNS, row, strict=True)})
+        (
+            number,
+            {name: "" if cell is None else str(cell) for name, cell in zip(POINT_COLUMNS, row, strict=True)},
+        )
         for number, row in enumerate(cells, start=1)
     ]
-    return points_of(Table(path, COLUMNS, rows))
+    return points_of(Table(path, POINT_COLUMNS, rows))
 
 
 GEOPACKAGE: Final = TiePointFormat("geopackage", lambda source: source.head.startswith(SQLITE_HEAD), _read)

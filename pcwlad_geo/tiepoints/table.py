@@ -139,7 +139,7 @@ class TiePointTable:
         return TiePointTable(**{name: value[index] for name, value in values.items()}, crs=crs)
 
 
-COLUMNS: Final = (
+POINT_COLUMNS: Final = (
     *("id", "ref_col", "ref_row", "tgt_col", "tgt_row", "x", "y", "d_col", "d_row", "d_x_m", "d_y_m"),
     *("sigma_col", "sigma_row", "correlation", "score", "residual_col", "residual_row", "status"),
 )
@@ -167,7 +167,7 @@ def columns_of(table: TiePointTable) -> dict[str, NDArray[np.generic]]:
     }
     for names, values in pairs.items():
         columns |= {name: values[:, axis] for axis, name in enumerate(names)}
-    return {name: columns[name] for name in COLUMNS}
+    return {name: columns[name] for name in POINT_COLUMNS}
 
 
 def joined(table: TiePointTable, more: TiePointTable) -> TiePointTable:

@@ -23,7 +23,7 @@ import pcwlad_geo as pg
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import register_pair
-from pcwlad_geo.tiepoints.table import COLUMNS
+from pcwlad_geo.tiepoints.table import POINT_COLUMNS
 from tests.rpc_scene import UNDULATION_M
 from tests.rpc_scene import write_pair as write_rpc_pair
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
@@ -333,7 +333,7 @@ def test_the_jobs_take_datasets_of_files_and_no_arrays(steps: Steps, tmp_path: P
 def test_records_are_the_columns_of_the_csv(steps: Steps) -> None:
     table = steps.correction.tie_points
     records = table.to_records()
-    assert records.dtype.names == COLUMNS
+    assert records.dtype.names == POINT_COLUMNS
     assert records["id"].tolist() == list(range(1, len(table) + 1))
     np.testing.assert_array_equal(records["tgt_row"], table.target_px[:, 1])
     np.testing.assert_array_equal(records["status"], table.status)
@@ -345,7 +345,7 @@ def test_a_geodataframe_has_the_points_on_the_map(steps: Steps) -> None:
     table = steps.correction.tie_points
     frame = table.to_geodataframe()
     assert frame.crs.to_epsg() == 32633
-    assert list(frame.columns) == [*COLUMNS, "geometry"]
+    assert list(frame.columns) == [*POINT_COLUMNS, "geometry"]
     np.testing.assert_array_equal(np.column_stack([frame.geometry.x, frame.geometry.y]), table.xy)
 
 

@@ -20,21 +20,25 @@ Result = subprocess.CompletedProcess[str]
 
 JOB = """
 import contextlib, types
+from dataclasses import make_dataclass
 from pathlib import Path
+
+def made(**values):
+    return make_dataclass("Made", list(values))(**values)
 
 def register(reference, target, *, on_event, **keywords):
 {work}
 
+def write_pair(command, names, settings, places, *, overwrite, on_event):
+    report = register(*names, on_event=on_event, overwrite=overwrite, **places)
+    folder = output_folder(names[1], command, places.get("out_dir"))
+    return made(report=report, paths=dict(numbers=folder / "report.json", report=folder / "report.html"))
+
 def output_folder(target, job, out_dir=None):
     return Path(out_dir or "b_registered")
 
-def output_paths(target, job, *, out_dir=None, **elsewhere):
-    folder = output_folder(target, job, out_dir)
-    return dict(numbers=folder / "report.json", report=folder / "report.html", raster=folder / "absent.tif")
-
 job = types.ModuleType("pcwlad_geo.job")
-job.register = register
-job.output_paths, job.output_folder = output_paths, output_folder
+job.register, job.write_pair, job.output_folder = register, write_pair, output_folder
 job.products_found_once = contextlib.nullcontext
 job.open_job_runner = lambda settings, executor, on_event: contextlib.nullcontext(
     types.SimpleNamespace(shares_jobs=False, threads=1)
@@ -64,7 +68,7 @@ def command(work: str | None) -> list[str]:
     ----------
     work : str, optional
         Body of a function ``register(reference, target, *, on_event, **keywords)`` that stands in for the
-        job's.
+        job's, and returns what the command prints: a report, made by ``made(**values)``.
     """
     if work is None:
         return [sys.executable, "-m", "pcwlad_geo"]

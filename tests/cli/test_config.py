@@ -65,10 +65,8 @@ def test_requirements_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "function"),
     [
-        (("register", "/vsimem/a.tif", "/vsimem/b.tif"), "job.register"),
-        (("match", "/vsimem/a.tif", "/vsimem/b.tif"), "job.match_files"),
-        (("batch", "pairs.csv"), "multi.batches.batch"),
-        (("qa", "a.tif", "b.tif"), "multi.qa.qa"),
+        (("batch", "pairs.csv"), "multi.batch.run.batch"),
+        (("qa", "a.tif", "b.tif"), "multi.qa.run.qa"),
     ],
     ids=lambda each: each[0] if isinstance(each, tuple) else "",
 )

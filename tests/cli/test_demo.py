@@ -12,7 +12,7 @@ import rasterio
 
 from pcwlad_geo.cli import app as command_line
 from pcwlad_geo.cli.app import NEXT, SAMPLE, run
-from pcwlad_geo.cli.job import Ending
+from pcwlad_geo.cli.running import Ending
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(REPOSITORY / "sample_data"))

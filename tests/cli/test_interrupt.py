@@ -12,8 +12,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from pcwlad_geo.cli import job
-from pcwlad_geo.cli.job import SIGNALS, WATCHER, cancellable
+from pcwlad_geo.cli import interrupts
+from pcwlad_geo.cli.guard import SIGNALS
+from pcwlad_geo.cli.interrupts import WATCHER, cancellable
 from tests.patience import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
@@ -22,8 +23,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 @pytest.fixture(autouse=True)
 def unhurried(monkeypatch: pytest.MonkeyPatch) -> None:
     """No test is ended by force because the machine is slow."""
-    monkeypatch.setattr(job, "GRACE_S", PATIENCE_S)
-    monkeypatch.setattr(job, "CLEANING_S", PATIENCE_S)
+    monkeypatch.setattr(interrupts, "GRACE_S", PATIENCE_S)
+    monkeypatch.setattr(interrupts, "CLEANING_S", PATIENCE_S)
 
 
 @pytest.fixture
@@ -111,7 +112,7 @@ def test_a_command_run_in_another_thread_leaves_the_signals_as_they_are() -> Non
 def test_a_main_thread_that_is_stuck_is_ended_after_its_grace(
     ended: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(job, "GRACE_S", 0.0)
+    monkeypatch.setattr(interrupts, "GRACE_S", 0.0)
     done = threading.Event()
 
     def clean() -> None:
@@ -137,7 +138,7 @@ def watch(received: list[int], ended: list[object], *, finished: bool = False) -
     done = threading.Event()
     if finished:
         done.set()
-    job._watch_signals(reader, done, lambda: ended.append("cleaned"))
+    interrupts._watch_signals(reader, done, lambda: ended.append("cleaned"))
     assert reader.fileno() == -1
 
 
@@ -155,7 +156,7 @@ def watch(received: list[int], ended: list[object], *, finished: bool = False) -
 def test_the_watcher_ends_what_does_not_finish(
     received: list[int], forced: bool, ended: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(job, "GRACE_S", 0.0)
+    monkeypatch.setattr(interrupts, "GRACE_S", 0.0)
     watch(received, ended)
     assert ended == (["cleaned", 130] if forced else [])
     ended.clear()
@@ -170,16 +171,16 @@ def test_the_process_does_not_end_before_it_is_cleaned_up(ended: list[object]) -
         started.wait(0.2)  # nobody sets it: the cleaning up takes a while
         ended.append("cleaned")
 
-    job._end_process(clean)
+    interrupts._end_process(clean)
     assert ended == ["cleaned", 130]
 
 
 def test_cleaning_up_that_never_ends_is_not_waited_for(
     ended: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(job, "CLEANING_S", 0.0)
+    monkeypatch.setattr(interrupts, "CLEANING_S", 0.0)
     over = threading.Event()
-    job._end_process(lambda: over.wait(PATIENCE_S) and None)
+    interrupts._end_process(lambda: over.wait(PATIENCE_S) and None)
     assert ended == [130]
     over.set()
 
@@ -199,7 +200,7 @@ def test_standard_input_is_read_to_its_end_and_that_is_nothing_after_the_run(sta
     os.close(standard_input)
     finished = threading.Event()
     finished.set()
-    job._watch_stdin(finished)
+    interrupts._watch_stdin(finished)
     assert os.read(0, 1) == b""
 
 
@@ -211,5 +212,5 @@ def test_the_main_thread_is_interrupted_where_threads_cannot_be_signalled(
     monkeypatch.delattr(signal, "pthread_kill")
     monkeypatch.setattr(_thread, "interrupt_main", lambda: interrupted.append("main"))
     os.close(standard_input)
-    job._watch_stdin(threading.Event())
+    interrupts._watch_stdin(threading.Event())
     assert interrupted == ["main"]

@@ -21,24 +21,22 @@ from tests.patience import PATIENCE_S
 Cli = Callable[..., Result]
 
 DONE = """
-    import json
     from pcwlad_geo.events import Progress, Warned
     on_event(Warned("two\\nlines"))
     on_event(Progress("matching", 1, 2))
-    axes = {"mean": [1.0, 2.0], "median": [1.25, -0.5], "std": [0.1, 0.1]}
-    figures = {"n": 40, "rmse": 0.1234, "ce90": 0.2}
-    folder = keywords["out_dir"] or Path("b_registered")
-    folder.mkdir()
-    (folder / "report.html").write_text("page")
-    (folder / "report.json").write_text(json.dumps({
-        "status": "registered", "warnings": ["two lines"], "displacement_px": axes, "displacement_m": None,
-        "tie_points": {"total": 130, "fit": 80, "check": 40, "unused": 0, "rejected": 10},
-        "accuracy": {"fit": {"px": None, "m": None}, "check": {"px": figures, "m": None}}}))
+    axes = made(mean=[1.0, 2.0], median=[1.25, -0.5], std=[0.1, 0.1])
+    figures = made(n=40, rmse=0.1234, ce90=0.2)
+    nothing = {"all": None, "fit": None, "check": None}
+    pose = None
+    passed, requirements = None, ()
+    return made(
+        status="registered", warnings=["two lines"], displacement_px=axes, displacement_m=None,
+        quality=None, passed=passed, requirements=requirements, model=None, prealignment=made(pose=pose),
+        tie_points={"total": 130, "fit": 80, "check": 40, "unused": 0, "rejected": 10},
+        accuracy={"fit": {"px": None, "m": None}, "check": {"px": figures, "m": None}},
+        statistics=made(before=nothing, after=nothing))
 """
-POSED = DONE.replace(
-    '"displacement_m": None,',
-    '"displacement_m": None, "prealignment": {"pose": {"scale": [0.2, -0.21], "rotation_deg": 12.3}},',
-)
+POSED = DONE.replace("pose = None", "pose = made(scale=[0.2, -0.21], rotation_deg=12.3)")
 SLOW = """
     import time
     from pcwlad_geo.events import Progress
@@ -98,16 +96,10 @@ def test_a_pose_of_another_scale_is_printed_instead_of_a_displacement(cli: Cli) 
     assert "median displacement" not in printed
 
 
-def test_a_requirement_that_is_not_met_is_a_result_with_status_4(cli: Cli, tmp_path: Path) -> None:
-    missed = DONE.replace(
-        '"status": "registered",',
-        """"status": "registered", "passed": False, "settings": {"keep": False},
-        "requirements": [{"met": False, "message": "CE90 <= 0.1 px: not met (0.2 px)"}],""",
-    )
-    work = f"{missed}    from pcwlad_geo.errors import RequirementError\n    raise RequirementError('')\n"
-    (tmp_path / "b_registered").mkdir()
-    work = work.replace("folder.mkdir()", "folder.mkdir(exist_ok=True)")
-    (tmp_path / "b_registered" / "absent.tif").touch()  # of an earlier job
+def test_a_requirement_that_is_not_met_is_a_result_with_status_4(cli: Cli) -> None:
+    message = "CE90 <= 0.1 px: not met (0.2 px)"
+    missed = f'passed, requirements = False, [made(met=False, message="{message}", caveat=None)]'
+    work = DONE.replace("passed, requirements = None, ()", missed)
     result = cli(*BOTH, "--require", "CE90<=0.1px", work=work)
     assert result.returncode == 4
     assert "CE90 <= 0.1 px: not met (0.2 px)\nFAILED: no corrected raster is written" in result.stdout

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from pcwlad_geo.cli.job import Outcome
+from pcwlad_geo.cli.pair import Outcome
 from pcwlad_geo.registration import Decision
-from tests.registrations import json_of, make_registration, without_crs
+from tests.registrations import make_registration, summary_of, without_crs
 
 
 def test_the_table_has_displacement_before_and_residuals_after() -> None:
     made = make_registration()
-    lines = Outcome(json_of(made), {"numbers": Path("report.json")}).text().splitlines()
+    lines = Outcome(summary_of(made), {"numbers": Path("report.json")}).text().splitlines()
     header, before, fit, check = (
         line for line in lines if line.startswith((" ", "displacement", "residual"))
     )
@@ -28,7 +28,7 @@ def test_the_table_has_displacement_before_and_residuals_after() -> None:
 
 def test_there_is_no_column_of_metres_where_they_are_not_known() -> None:
     made = without_crs(make_registration())
-    text = Outcome(json_of(made), {"numbers": Path("report.json")}).text()
+    text = Outcome(summary_of(made), {"numbers": Path("report.json")}).text()
     (header,) = (line for line in text.splitlines() if line.startswith(" "))
     assert header.split()[-3:] == ["RMSE", "CE90", "net"]
     check = next(line for line in text.splitlines() if line.startswith("residual after, check"))
@@ -38,19 +38,19 @@ def test_there_is_no_column_of_metres_where_they_are_not_known() -> None:
 def test_the_quality_of_a_part_is_told_beside_that_of_all() -> None:
     made = make_registration()
     assert made.quality is not None
-    of_all = Outcome(json_of(made), {"numbers": Path("report.json")}).text()
+    of_all = Outcome(summary_of(made), {"numbers": Path("report.json")}).text()
     assert "90 % of the common ground is expected to lie within 0.12 px (" in of_all
     part = replace(made, decision=Decision(quality=replace(made.quality, whole=(0.77, 0.226))))
-    text = Outcome(json_of(part), {"numbers": Path("report.json")}).text()
+    text = Outcome(summary_of(part), {"numbers": Path("report.json")}).text()
     assert "90 % of the ground that was compared is expected to lie within 0.12 px (" in text
     assert ", and of all that both show within 0.77 px (" in text
     part = replace(made, decision=Decision(quality=replace(made.quality, whole=(0.0014, 0.0004))))
-    assert "within 0.001 px (" in Outcome(json_of(part), {"numbers": Path("report.json")}).text()
+    assert "within 0.001 px (" in Outcome(summary_of(part), {"numbers": Path("report.json")}).text()
 
 
 def test_what_was_only_matched_has_no_residuals() -> None:
-    lines = Outcome(json_of(make_registration("matched")), {"numbers": Path("report.json")}).text()
+    lines = Outcome(summary_of(make_registration("matched")), {"numbers": Path("report.json")}).text()
     assert "displacement before" in lines
     assert "residual" not in lines
-    without = json_of(make_registration("rejected", n=0))
+    without = summary_of(make_registration("rejected", n=0))
     assert "LE90" not in Outcome(without, {"numbers": Path("report.json")}).text()

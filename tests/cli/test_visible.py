@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from pcwlad_geo.cli.job import table
+from pcwlad_geo.cli.batch import pair_table
 from pcwlad_geo.cli.progress import show_error
 from pcwlad_geo.text import one_line, visible
 
@@ -45,5 +45,5 @@ def test_the_table_of_pairs_paints_nothing() -> None:
         "reason": "gone\x1b[0m",
         "out_dir": "",
     }
-    assert "\x1b" not in table([row])
-    assert "b\\x1b[31m.tif" in table([row])
+    assert "\x1b" not in pair_table([row])
+    assert "b\\x1b[31m.tif" in pair_table([row])

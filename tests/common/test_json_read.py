@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcwlad_geo.limits import JSON_DEPTH, JSON_DIGITS
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.multi.stack.numbers import StackNumbers
 from pcwlad_geo.raster.bands import Bands
 from pcwlad_geo.text import mismatch, parse_json, plain, whole
@@ -31,8 +31,8 @@ def test_plain_json_is_what_json_says(value: object) -> None:
         "NaN",
         "[-Infinity]",
         '{"a": 1e999}',
-        "9" * (JSON_DIGITS + 1),
-        "[" * (JSON_DEPTH + 1) + "]" * (JSON_DEPTH + 1),
+        "9" * (LIMITS.json_digits + 1),
+        "[" * (LIMITS.json_depth + 1) + "]" * (LIMITS.json_depth + 1),
         '{"a":' * 100_000,
         "[" * 5000 + "]" * 5000,
         "",
@@ -44,8 +44,8 @@ def test_what_no_result_holds_is_refused(text: str) -> None:
 
 
 def test_the_deepest_and_longest_that_are_read() -> None:
-    assert parse_json("[" * JSON_DEPTH + "]" * JSON_DEPTH) is not None
-    assert parse_json("9" * JSON_DIGITS) == int("9" * JSON_DIGITS)
+    assert parse_json("[" * LIMITS.json_depth + "]" * LIMITS.json_depth) is not None
+    assert parse_json("9" * LIMITS.json_digits) == int("9" * LIMITS.json_digits)
 
 
 def test_numbers_that_json_cannot_hold_become_null() -> None:

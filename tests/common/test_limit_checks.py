@@ -10,7 +10,8 @@ import pytest
 
 from pcwlad_geo import limits
 from pcwlad_geo.errors import ExecutionError, InputError, SettingsError
-from pcwlad_geo.raster.output_format import OutputFormat
+from pcwlad_geo.limits import LIMITS
+from pcwlad_geo.raster import OutputFormat
 from pcwlad_geo.tiepoints.cells import check_sigma
 
 UTM = (30.0, 0.0, 5e5, 0.0, -30.0, 4.6e6)
@@ -207,9 +208,9 @@ def test_numbers_of_an_rpc(name: str, most: float) -> None:
 
 def test_limits_that_are_compared_elsewhere() -> None:
     """As docs/development/limits.md names them."""
-    assert (limits.SEARCH_RADIUS_PX, limits.TILE_PX, limits.FEATURES) == (1024, 4096, 100_000)
-    assert (limits.ITERATIONS, limits.JOBS, limits.UNREAD_PARTS) == (1000, 1024, 500)
-    assert (limits.POINTS, limits.BATCH_ROWS, limits.MEMBERS) == (250_000, 100_000, 100_000)
-    assert (limits.OPTIONS_BYTES, limits.RPC_BYTES, limits.METADATA_BYTES) == (2**14, 2**16, 2**24)
-    assert (limits.VRT_BYTES, limits.TREND_FIGURES) == (2**25, 100_000)
-    assert (limits.TEXT_BYTES, limits.MIN_STORED, limits.NAME_BYTES) == (2**26, 1 / 128, 255)
+    assert (LIMITS.search_radius_px, LIMITS.tile_px, LIMITS.features) == (1024, 4096, 100_000)
+    assert (LIMITS.iterations, LIMITS.jobs, LIMITS.unread_parts) == (1000, 1024, 500)
+    assert (LIMITS.points, LIMITS.batch_rows, LIMITS.members) == (250_000, 100_000, 100_000)
+    assert (LIMITS.options_bytes, LIMITS.rpc_bytes, LIMITS.metadata_bytes) == (2**14, 2**16, 2**24)
+    assert (LIMITS.vrt_bytes, LIMITS.trend_figures) == (2**25, 100_000)
+    assert (LIMITS.text_bytes, LIMITS.min_stored, LIMITS.name_bytes) == (2**26, 1 / 128, 255)

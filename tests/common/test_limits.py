@@ -7,6 +7,7 @@ import socket
 import tarfile
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,19 +23,16 @@ from pcwlad_geo.cli.options import read_config
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import ExecutionError, InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Warned
-from pcwlad_geo.execution.runner import LOST_AFTER_S, WARN_AFTER_S, WorkerWatch
+from pcwlad_geo.execution.cluster import CLUSTER, WorkerWatch
 from pcwlad_geo.job import register
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.landsat import LANDSAT_LISTED
+from pcwlad_geo.raster import Grid, GridRequest, View, describe, open_raster, plan_views
 from pcwlad_geo.raster.file_tree import tree_of
 from pcwlad_geo.raster.gdal import explained
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.matching_grid import plan_views
-from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.output_grid import GridRequest, output_grid
+from pcwlad_geo.raster.output_grid import output_grid
 from pcwlad_geo.raster.rpc.files import parse_rpc_text
-from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.view import View
 from pcwlad_geo.text import read_bytes, read_json
 from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.cli.process import run_cli
@@ -97,9 +95,9 @@ def test_an_image_of_that_size_with_pixels_is_not(tmp_path: Path) -> None:
 
 def test_more_bands_than_any_sensor_has_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.vrt"
-    bands = "".join(f'<VRTRasterBand dataType="Byte" band="{i}"/>' for i in range(1, limits.BANDS + 2))
+    bands = "".join(f'<VRTRasterBand dataType="Byte" band="{i}"/>' for i in range(1, LIMITS.bands + 2))
     path.write_text(f'<VRTDataset rasterXSize="50" rasterYSize="50">{bands}</VRTDataset>')
-    with pytest.raises(InputError, match=rf"{limits.BANDS + 1} bands, and at most {limits.BANDS}"):
+    with pytest.raises(InputError, match=rf"{LIMITS.bands + 1} bands, and at most {LIMITS.bands}"):
         describe(path)
 
 
@@ -117,7 +115,7 @@ def test_what_cannot_be_read_is_tried_a_bounded_number_of_times(
     monkeypatch.setattr("pcwlad_geo.raster.view._read", fails)
     with pytest.raises(InputError):
         view.read_decimated(9000)
-    assert len(calls) <= limits.UNREAD_PARTS + 20
+    assert len(calls) <= LIMITS.unread_parts + 20
 
 
 @pytest.mark.parametrize("pixel_m", [0.001, 1e-9, 1e300, 1e7])
@@ -229,7 +227,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None
     ):
         for _ in range(65):
             member.write(bytes(2**20))
-    with pytest.raises(InputError, match=rf"unpacks to more than {limits.METADATA_BYTES} bytes"):
+    with pytest.raises(InputError, match=rf"unpacks to more than {LIMITS.metadata_bytes} bytes"):
         tree_of(path).read_text("LC08_MTL.txt")
     with pytest.raises(InputError, match="at most 200 times its size"):
         limits.check_unpacked("a.zip", 2**31, 2_200_000)
@@ -278,7 +276,7 @@ def test_sigmas_at_the_limits_are_read(cell: str, tmp_path: Path) -> None:
 
 def test_files_of_points_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("cells", "envi", "geopackage"):
-        monkeypatch.setattr(f"pcwlad_geo.tiepoints.{module}.POINTS", 2)
+        monkeypatch.setattr(f"pcwlad_geo.tiepoints.{module}.LIMITS", replace(LIMITS, points=2))
     path = tmp_path / "points.csv"
     path.write_text("ref_col,ref_row,tgt_col,tgt_row\n" + "1,2,3,4\n" * 3)
     with pytest.raises(InputError, match="more than 2 points"):
@@ -357,10 +355,15 @@ def test_the_last_boundary_names_the_cause(tmp_path: Path) -> None:
 
 def test_a_scheduler_without_workers_is_waited_for_a_bounded_time() -> None:
     now, workers, told = [0.0], [1], list[Event]()
-    watch = WorkerWatch(lambda: workers[0], "tcp://host:8786", lambda: now[0])
+    watch = WorkerWatch(lambda: workers[0], "tcp://host:8786", clock=lambda: now[0])
     watch(told.append)
     workers[0] = 0
-    for now[0] in (100.0, 100.0 + WARN_AFTER_S + 1, 100.0 + WARN_AFTER_S + 2, 100.0 + LOST_AFTER_S - 1):
+    for now[0] in (
+        100.0,
+        100.0 + CLUSTER.warn_after_s + 1,
+        100.0 + CLUSTER.warn_after_s + 2,
+        100.0 + CLUSTER.lost_after_s - 1,
+    ):
         watch(told.append)
     assert [event.message for event in told if isinstance(event, Warned)] == [
         "the scheduler tcp://host:8786 has no workers left: the job waits 50 s for new ones"
@@ -369,7 +372,7 @@ def test_a_scheduler_without_workers_is_waited_for_a_bounded_time() -> None:
     watch(told.append)
     workers[0], now[0] = 0, 1000.0
     watch(told.append)
-    now[0] += LOST_AFTER_S + 1
+    now[0] += CLUSTER.lost_after_s + 1
     with pytest.raises(ExecutionError, match="no worker for 60 s: start some"):
         watch(told.append)
 
@@ -386,7 +389,7 @@ def test_an_rpc_file_of_nonsense_is_read_in_linear_time(name: str, text: str, tm
     with pytest.raises(InputError, match="lacks"):
         parse_rpc_text(path)
     path.write_text(text * 2)
-    with pytest.raises(InputError, match=f"more than {limits.RPC_BYTES} bytes"):
+    with pytest.raises(InputError, match=f"more than {LIMITS.rpc_bytes} bytes"):
         parse_rpc_text(path)
 
 

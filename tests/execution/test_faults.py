@@ -22,7 +22,8 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.events import Event, Progress, Warned
-from pcwlad_geo.execution.runner import OnExecutor, _inspection, connected
+from pcwlad_geo.execution.cluster import _inspection, connected
+from pcwlad_geo.execution.runner import OnExecutor
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import Registration, match_pair, prepare_pair, register_pair
 from pcwlad_geo.registration.judge import JudgeParameters

@@ -9,8 +9,7 @@ import pytest
 
 from pcwlad_geo import job as workflow
 from pcwlad_geo.correction.models import Correction
-from pcwlad_geo.options import Settings
-from pcwlad_geo.registration import Registration
+from pcwlad_geo.registration import Inputs, Registration
 from tests.pictures import without_pictures
 from tests.registrations import Make, make_registration, of_files, write_pair
 
@@ -24,11 +23,11 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     write_pair(tmp_path)
 
     def make_it(status: str = "registered", correction: Correction | None = None, **options: object) -> Path:
-        def finish(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
-            made = of_files(make_registration(status), Path(reference), Path(target))
-            return replace(made, settings=settings, correction=correction or made.correction)
+        def finish(inputs: Inputs, **_: object) -> Registration:
+            made = of_files(make_registration(status), Path(inputs.reference), Path(inputs.target))
+            return replace(made, settings=inputs.settings, correction=correction or made.correction)
 
-        monkeypatch.setattr("pcwlad_geo.registration.register_pair", finish)
+        monkeypatch.setattr("pcwlad_geo.registration.register_inputs", finish)
         job = workflow.match_files if status == "matched" else workflow.register
         job("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[operator]
         return Path("done")

@@ -21,9 +21,9 @@ from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.correction.models import ProjectiveCorrection
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.multi.batch.table import read_pairs
-from pcwlad_geo.options import Settings, to_setting
-from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.registration import Registration
+from pcwlad_geo.option_text import to_setting
+from pcwlad_geo.raster import Grid, map_px
+from pcwlad_geo.registration import Inputs, Registration
 from tests.registrations import make_registration, of_files, write_pair
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, make_grid, render, write
 
@@ -40,12 +40,12 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     calls: list[object] = []
 
     def make_it(**options: object) -> Path:
-        def finish(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
-            calls.append(settings)
-            made = of_files(make_registration(), Path(reference), Path(target))
-            return replace(made, settings=settings)
+        def finish(inputs: Inputs, **_: object) -> Registration:
+            calls.append(inputs.settings)
+            made = of_files(make_registration(), Path(inputs.reference), Path(inputs.target))
+            return replace(made, settings=inputs.settings)
 
-        monkeypatch.setattr("pcwlad_geo.registration.register_pair", finish)
+        monkeypatch.setattr("pcwlad_geo.registration.register_inputs", finish)
         workflow.register("b4.tif", "b10.tif", out_dir="done", **options)  # type: ignore[arg-type]
         return Path("done")
 

@@ -19,11 +19,10 @@ from affine import Affine
 import pcwlad_geo
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.matching_grid import plan_views, share_plane
+from pcwlad_geo.raster import Grid, describe, map_px, plan_views
+from pcwlad_geo.raster.matching_grid import share_plane
 from pcwlad_geo.raster.output_grid import output_grid
-from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration import check_output
+from pcwlad_geo.registration import check_output, resolve
 from tests.scenes import make_grid, render, write
 
 SMALL: Any = {"template": 61, "window": 41, "features": 150, "model": "shift"}
@@ -132,13 +131,13 @@ def test_other_bands_are_warped_in_that_plane(pair: tuple[Path, Path], tmp_path:
 
 def test_an_output_grid_can_be_asked_for_in_the_plane(pair: tuple[Path, Path]) -> None:
     (left, top), (right, bottom) = REFERENCE.to_xy(np.array([[50.0, 50.0], [150.0, 150.0]]))
-    check_output(*pair, Settings(tr=(20.0, 20.0), te=(left, bottom, right, top)))
+    check_output(resolve(*pair, Settings(tr=(20.0, 20.0), te=(left, bottom, right, top))))
     with pytest.raises(pcwlad_geo.InputError, match=r"shows nothing.*in the plane of their geotransforms"):
-        check_output(*pair, Settings(te=(0.0, 0.0, 99.0, 99.0)))
+        check_output(resolve(*pair, Settings(te=(0.0, 0.0, 99.0, 99.0))))
     like = write(Path("like.tif"), render(REFERENCE), REFERENCE)
     for settings in (Settings(like=like), Settings(t_srs="EPSG:32633")):
         with pytest.raises(pcwlad_geo.InputError, match=r"neither .*ref.tif nor .*tgt.tif has a CRS"):
-            check_output(*pair, settings)
+            check_output(resolve(*pair, settings))
 
 
 @pytest.mark.parametrize("lacking", ["reference", "target"])
@@ -150,9 +149,9 @@ def test_an_output_grid_can_be_asked_for_where_one_has_the_crs(lacking: str, pai
         write(target, render(TARGET), TARGET)
     like = write(Path("like.tif"), render(REFERENCE), REFERENCE)
     for settings in (Settings(tr=(20.0, 20.0)), Settings(like=like), Settings(t_srs="EPSG:3035")):
-        check_output(reference, target, settings)
+        check_output(resolve(reference, target, settings))
     with pytest.raises(pcwlad_geo.InputError, match="shows nothing of the target"):
-        check_output(reference, target, Settings(te=(0.0, 0.0, 99.0, 99.0)))
+        check_output(resolve(reference, target, Settings(te=(0.0, 0.0, 99.0, 99.0))))
 
 
 def test_one_without_a_crs_is_taken_to_be_in_the_other_s_where_its_coordinates_lie(

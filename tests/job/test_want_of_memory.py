@@ -64,7 +64,7 @@ def test_a_library_that_cannot_be_loaded_is_told(
     def lacking(**_: object) -> None:
         raise ImportError("libgdal.so: failed to map segment from shared object")
 
-    monkeypatch.setattr("pcwlad_geo.cli.job.check_address_space", lacking)
+    monkeypatch.setattr("pcwlad_geo.cli.running.check_address_space", lacking)
     assert app.run(["register", "a.tif", "b.tif"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: a library cannot be loaded (libgdal.so: ")

@@ -19,10 +19,10 @@ from pcwlad_geo import InputError, OutputError, RegistrationRejectedError, Requi
 from pcwlad_geo import job as workflow
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.events import Event, Progress
-from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs import files
 from pcwlad_geo.outputs import write as writing
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.registration import Registration
+from pcwlad_geo.raster import Grid
+from pcwlad_geo.registration import Inputs, Registration
 from tests.patience import PATIENCE_S
 from tests.registrations import SHIFT_PX, make_registration, of_files, write_pair
 from tests.tables import read_table
@@ -44,13 +44,13 @@ def use(pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Use:
     """Make the jobs find a registration made by hand, or raise."""
 
     def use_it(status: str = "registered", error: Exception | None = None, **changes: object) -> None:
-        def run(reference: Path, target: Path, settings: Settings, **_: object) -> Registration:
+        def run(inputs: Inputs, **_: object) -> Registration:
             if error is not None:
                 raise error
-            made = of_files(make_registration(status), Path(reference), Path(target))
-            return replace(made, settings=settings, **changes)
+            made = of_files(make_registration(status), Path(inputs.reference), Path(inputs.target))
+            return replace(made, settings=inputs.settings, **changes)
 
-        monkeypatch.setattr("pcwlad_geo.registration.register_pair", run)
+        monkeypatch.setattr("pcwlad_geo.registration.register_inputs", run)
 
     return use_it
 
@@ -305,7 +305,7 @@ def test_an_interrupted_job_does_not_wait_for_the_page(
     [("a & b.tif", "a & b"), ("/vsizip/x.zip/b.tif", "b"), ('NETCDF:"n.nc":band', "NETCDF_n.nc_band")],
 )
 def test_names_of_outputs(target: str, stem: str) -> None:
-    paths = workflow.output_paths(target, "registered")
+    paths = workflow.output_paths(target, "register", "COG", workflow.output_folder(target, "registered"))
     assert paths["numbers"].parent.name.endswith("_registered")
     assert not set(paths["raster"].name) & set('<>:"/\\|?*')
     if stem in ("a & b", "b"):
@@ -324,7 +324,7 @@ def test_the_page_of_outputs_is_the_table_of_outputs() -> None:
     rows = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in table.splitlines()]
     assert rows == [
         (f"`{output.name.format(**WRITTEN_OUT)}`", output.when.words, output.description)
-        for output in writing.outputs()
+        for output in files.outputs()
     ]
 
 
@@ -332,7 +332,7 @@ def test_the_readme_names_files_of_the_table() -> None:
     text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?) \|", text.split("## What you get")[1].split("## ")[0], re.MULTILINE)
     named = [name for row in rows for name in re.findall(r"`([^`]+)`", row)]
-    known = [output.name.format(**WRITTEN_OUT) for output in writing.outputs()]
+    known = [output.name.format(**WRITTEN_OUT) for output in files.outputs()]
     assert len(named) >= 9
     assert [name for name in named if not any(each.endswith(name) for each in known)] == []
 
@@ -349,13 +349,13 @@ def test_a_job_returns_what_the_table_says_that_it_writes(
         found = error.registration
         folder = error.out_dir
     else:
-        assert list(found.outputs) == [output.kind for output in writing.outputs() if output.is_of(found)]
+        assert list(found.outputs) == [output.kind for output in files.outputs() if output.is_of(found)]
         assert all(path.is_file() for path in found.outputs.values())
         folder = found.outputs["numbers"].parent
     stem = pair[1].stem
     expected = {
         output.name.format(name=pair[1].name, stem=stem, ending="tif")
-        for output in writing.outputs()
+        for output in files.outputs()
         if output.is_of(found)
     }
     assert names(folder) == expected

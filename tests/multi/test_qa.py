@@ -24,7 +24,7 @@ from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration import register_pair as run_pair
 from pcwlad_geo.registration.proof.parameters import ProofParameters
 from pcwlad_geo.registration.proof.sites import set_up
-from pcwlad_geo.report.page import check_pdf
+from pcwlad_geo.report.pdf import check_pdf
 from tests.multi.measured_bands import schema_file
 from tests.scenes import make_grid, render, write
 

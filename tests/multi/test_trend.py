@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ import pytest
 
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.events import Event, Warned
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.multi.qa.numbers import summarise
 from pcwlad_geo.multi.watch.dates import date_in, without_dates
 from pcwlad_geo.multi.watch.trend import trend
 from pcwlad_geo.multi.watch.trend_page import Axis, has_risen, nice_ticks
-from pcwlad_geo.report.content import summarise as summarise_registration
-from pcwlad_geo.report.content import to_json
+from pcwlad_geo.report.json_content import to_json
+from pcwlad_geo.report.summary import summarise as summarise_registration
 from tests.multi.measured_bands import make_band, make_pair
 from tests.multi.test_qa_page import make_result, read
 from tests.registrations import make_registration
@@ -101,7 +103,7 @@ def test_names_that_are_no_text_are_written_visibly(tmp_path: Path) -> None:
 
 
 def test_the_pairs_of_a_trend_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcwlad_geo.multi.watch.trend.TREND_FIGURES", 1)
+    monkeypatch.setattr("pcwlad_geo.multi.watch.trend.LIMITS", replace(LIMITS, trend_figures=1))
     for number in (0, 1):
         write_qa(tmp_path / "reports" / str(number), "20230105", 0.1)
     with pytest.raises(InputError, match="more than 1 pairs in its reports"):

@@ -13,8 +13,10 @@ from affine import Affine
 
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.correction.selection import Selection, choose
-from pcwlad_geo.outputs import write as maps
-from pcwlad_geo.raster.grid import Grid, apply
+from pcwlad_geo.outputs import displacement_raster as maps
+from pcwlad_geo.outputs.map_raster import MAP_DEFAULTS, MapParameters
+from pcwlad_geo.raster import Grid
+from pcwlad_geo.raster.grid import apply
 from pcwlad_geo.registration import Registration
 from tests.registrations import make_registration, without_crs
 
@@ -51,9 +53,11 @@ def fitted(predicted: np.ndarray, observed: np.ndarray, covariance: np.ndarray) 
     return choose(predicted, observed, covariance, 81.0, ("affine",))
 
 
-def read(path: Path, registration: Registration) -> tuple[np.ndarray, np.ndarray, rasterio.DatasetReader]:
+def read(
+    path: Path, registration: Registration, parameters: MapParameters = MAP_DEFAULTS
+) -> tuple[np.ndarray, np.ndarray, rasterio.DatasetReader]:
     """Write and read the field: bands, (rows, cols, 2) reference px of its pixels, the closed file."""
-    maps.write_displacement(path, registration)
+    maps.write_displacement(path, registration, parameters)
     with rasterio.open(path) as file:
         bands = file.read()
         rows, cols = np.indices(file.shape) + 0.5
@@ -159,8 +163,7 @@ def test_blocks_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         return values(self, centres)
 
     monkeypatch.setattr(maps._Field, "values", counted)
-    monkeypatch.setattr(maps.write_map, "__kwdefaults__", {"block_px": 16, "tags": None})
-    parts, _, _ = read(tmp_path / "parts.tif", made)
+    parts, _, _ = read(tmp_path / "parts.tif", made, MapParameters(block_px=16))
     assert max(largest) == 16 * 16
     np.testing.assert_array_equal(whole, parts)
 

@@ -789,7 +789,7 @@ IN_CHILDREN = """
 import os, signal, sys
 from pathlib import Path
 from contextlib import suppress
-from pcwlad_geo.cli.job import cancellable
+from pcwlad_geo.cli.interrupts import cancellable
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.outputs.folder import OutputFolder, abandon
 from tests.outputs.test_output_folder_faults import NEW, OLD, at_each_step, content, run, whole

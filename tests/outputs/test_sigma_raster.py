@@ -7,8 +7,9 @@ import rasterio
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.outputs import write as sigma_raster
-from pcwlad_geo.raster.grid import Grid, apply
+from pcwlad_geo.outputs import map_raster as sigma_raster
+from pcwlad_geo.raster import Grid
+from pcwlad_geo.raster.grid import apply
 
 UTM33 = CRS.from_epsg(32633)
 TARGET = Grid((1500, 2400), Affine(30.0, 0.0, 500_000.0, 0.0, -30.0, 4_600_000.0), UTM33)

@@ -19,8 +19,8 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo import options as settings
-from pcwlad_geo.cli.job import Outcome
-from tests.registrations import json_of, make_registration
+from pcwlad_geo.cli.pair import Outcome
+from tests.registrations import make_registration, summary_of
 
 FOLDER = Path(__file__).parents[2] / "qgis_plugin"
 PLUGIN = FOLDER / "pcwlad_geo_qgis"
@@ -114,7 +114,7 @@ def test_the_summary_ends_with_the_grade_as_on_the_command_line(
     px_m: tuple[float, float] | None, size: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     summary = plugin_module("process.figures", monkeypatch).summary
-    outcome = Outcome(json_of(replace(make_registration(), px_m=px_m)), {"numbers": Path("report.json")})
+    outcome = Outcome(summary_of(replace(make_registration(), px_m=px_m)), {"numbers": Path("report.json")})
     line = f"uality: good; 90 % of the common ground is expected to lie within {size}"
     assert summary(outcome.figures()).splitlines()[-1] == f"Q{line}"
     assert f"q{line}\n" in outcome.text()
@@ -122,7 +122,7 @@ def test_the_summary_ends_with_the_grade_as_on_the_command_line(
 
 def test_the_summary_of_tie_points_alone_has_no_grade(monkeypatch: pytest.MonkeyPatch) -> None:
     summary = plugin_module("process.figures", monkeypatch).summary
-    outcome = Outcome(json_of(make_registration("matched")), {})
+    outcome = Outcome(summary_of(make_registration("matched")), {})
     told = summary(outcome.figures())
     assert told.startswith("Tie points: ")
     assert "uality" not in told

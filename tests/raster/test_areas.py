@@ -6,6 +6,7 @@ import json
 import sqlite3
 import tracemalloc
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from rasterio.crs import CRS
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.areas import Areas
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Window
@@ -186,7 +188,7 @@ def test_views_are_refused_and_trusted_ones_end(
         database.execute(f"CREATE VIEW areas AS {ENDLESS}")
     with pytest.raises(TrustError, match=r"the view 'areas', a query that may never end.*--trust-vrt"):
         valid(raster, aoi=path)
-    monkeypatch.setattr("pcwlad_geo.raster.vectors.READING_S", 3.0)
+    monkeypatch.setattr("pcwlad_geo.raster.vectors.LIMITS", replace(LIMITS, reading_s=3.0))
     with trusting(Trust(vrt=True)), pytest.raises(InputError, match="it takes more than 3 s"):
         valid(raster, aoi=path)
 

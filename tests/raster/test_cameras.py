@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.limits import XMP_BYTES
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.cameras import Camera, camera_of, expected_scale
 from pcwlad_geo.raster.source import describe
 from tests.scenes import tag_frame, tag_jpeg, write
@@ -146,7 +146,7 @@ def test_entities_are_not_expanded_and_large_packets_not_parsed() -> None:
         assert camera_of(Tagged(odd)) is None  # type: ignore[arg-type]
     good = xmp(attribute='drone-dji:RelativeAltitude="100"')
     assert camera_of(Tagged(good)) is not None  # type: ignore[arg-type]
-    assert camera_of(Tagged(good + " " * XMP_BYTES)) is None  # type: ignore[arg-type]
+    assert camera_of(Tagged(good + " " * LIMITS.xmp_bytes)) is None  # type: ignore[arg-type]
 
 
 def test_the_expected_scale_is_that_of_the_pixels_on_the_ground() -> None:

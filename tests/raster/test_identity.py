@@ -30,6 +30,7 @@ from pcwlad_geo.raster.identity import (
     identify,
     same,
 )
+from pcwlad_geo.text import typed
 from tests.scenes import make_grid, write
 
 
@@ -67,7 +68,7 @@ def test_a_file_is_told_by_size_times_number_and_header(tmp_path: Path) -> None:
         etag=None,
         header_sha256=hashlib.sha256(path.read_bytes()[:HEADER_BYTES]).hexdigest(),
     )
-    assert FileIdentity.from_dict({"role": "target", **asdict(found)}) == found
+    assert typed({"role": "target", **asdict(found)}, FileIdentity) == found
 
 
 def test_every_kind_of_change_is_told(tmp_path: Path) -> None:

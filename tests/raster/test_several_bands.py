@@ -12,11 +12,12 @@ import rasterio
 from numpy.typing import NDArray
 
 import pcwlad_geo
-from pcwlad_geo.cli import finished
+from pcwlad_geo.cli import edit
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.multi.stack.inputs import StackInput, listed
-from pcwlad_geo.options import Settings, to_setting
+from pcwlad_geo.option_text import to_setting
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import band_reading
 from pcwlad_geo.raster import view as view_module
 from pcwlad_geo.raster.bands import BandPart, Bands
@@ -246,7 +247,7 @@ def test_bands_of_products_by_name(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "out").glob("*_registered.tif")} >= {
         path.name.replace(".TIF", "_registered.tif") for path in target.glob("*_B*.TIF")
     }
-    editor, _ = finished._open(tmp_path / "out", {})  # on the files that the report names
+    editor, _ = edit._open(tmp_path / "out")  # on the files that the report names
     assert len(editor.table) == len(found.tie_points)
     with pytest.raises(InputError, match="band pca of"):
         pcwlad_geo.match_files(reference, target, ref_band="pca", tgt_band="B4", out_dir=tmp_path / "no")

@@ -17,8 +17,8 @@ import pcwlad_geo
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
+from pcwlad_geo.registration import prepare_pair
 from pcwlad_geo.registration.editing import Editor
-from pcwlad_geo.registration.opening import prepare_pair
 from tests.registration.test_run import SHIFT_PX, SMALL, write_pair
 from tests.scenes import make_grid
 
@@ -199,12 +199,12 @@ def test_a_folder_without_a_registration_is_told(tmp_path: Path, capfd: pytest.C
 
 
 def test_a_report_does_not_say_whom_to_trust(folder: Path, tmp_path: Path) -> None:
-    from pcwlad_geo.cli.finished import _open
+    from pcwlad_geo.cli.edit import _open
 
     report = json.loads((folder / "report.json").read_text())
     report["settings"]["trust_vrt"] = report["settings"]["allow_remote"] = True
     (tmp_path / "report.json").write_text(json.dumps(report))
     (tmp_path / "tiepoints.csv").write_bytes((folder / "tiepoints.csv").read_bytes())
-    editor, _ = _open(tmp_path, {"trust_vrt": False, "allow_remote": False})
+    editor, _ = _open(tmp_path)
     assert not editor._pair.settings.trust_vrt
     assert not editor._pair.settings.allow_remote

@@ -16,7 +16,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.crs import transform_xy
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.registration.run import register_pair
-from pcwlad_geo.report.content import summarise
+from pcwlad_geo.report.summary import summarise
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, render, write
 
 MERCATOR = CRS.from_epsg(3857)

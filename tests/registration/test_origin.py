@@ -13,15 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 import pcwlad_geo
-from pcwlad_geo.cli.finished import _open
+from pcwlad_geo.cli.edit import _open
 from pcwlad_geo.errors import RequirementError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.matching_grid import plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe, plan_views
+from pcwlad_geo.registration import Registration, prepare_pair, register_pair
 from pcwlad_geo.registration.assessment import _common_px
-from pcwlad_geo.registration.opening import prepare_pair
-from pcwlad_geo.registration.result import Registration
-from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -102,7 +99,7 @@ def chosen_by_residuals(folder: Path, place: Path, *, dropped: bool) -> Path:
     if dropped:
         write_csv(table[keep], place)
     else:
-        editor, _ = _open(folder, {"trust_vrt": False, "allow_remote": False})
+        editor, _ = _open(folder)
         editor.save(place, np.flatnonzero(~keep).tolist())
     return place
 
@@ -227,7 +224,7 @@ def test_the_error_told_is_the_true_one_by_all_ways(tmp_path: Path) -> None:
     """First run, what *Align with these* of QGIS writes, .points, tiepoints.csv: print told and true CE90."""
     pair = (SAMPLE / "landsat_b4.tif", SAMPLE / "landsat_b10.tif")
     first = pcwlad_geo.register(*pair, out_dir=tmp_path / "first")
-    editor, model = _open(tmp_path / "first", {"trust_vrt": False, "allow_remote": False})
+    editor, model = _open(tmp_path / "first")
     editor.try_model(model, editor.off)
     editor.save(tmp_path / "first" / "edited.points", editor.off)
     found = {"first run": first}

@@ -11,14 +11,12 @@ import rasterio
 
 import pcwlad_geo
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.write import output_grids_of
-from pcwlad_geo.raster.crs import WGS84, transform_xy, utm_zone_of
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.outputs.bands import output_grids_of
+from pcwlad_geo.raster import WGS84, Grid, describe, transform_xy
+from pcwlad_geo.raster.crs import utm_zone_of
 from pcwlad_geo.raster.rpc.planning import ground_grid
-from pcwlad_geo.raster.source import describe
-from pcwlad_geo.registration.inputs import check_output
+from pcwlad_geo.registration import check_output, register_pair, resolve
 from pcwlad_geo.registration.rpc import place_reference
-from pcwlad_geo.registration.run import register_pair
 from tests.rpc_scene import UNDULATION_M, make_rpc, oblique_rpc, rpc_grid, write_dem, write_image
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
 
@@ -112,7 +110,7 @@ def test_an_output_grid_can_be_asked_for(
         ({"t_srs": "EPSG:3035"}, None),
     ):
         settings = heights(folder, **wishes)
-        check_output(folder / "reference.tif", folder / "target.tif", settings)
+        check_output(resolve(folder / "reference.tif", folder / "target.tif", settings))
         (grid,) = output_grids_of(replace(found, settings=settings), ())
         assert expected is None or grid == expected
         if "tr" in wishes:
@@ -122,9 +120,9 @@ def test_an_output_grid_can_be_asked_for(
         ({"of": "VRT"}, "a VRT cannot hold the correction of an RPC"),
     ):
         with pytest.raises(pcwlad_geo.InputError, match=said):
-            check_output(folder / "reference.tif", folder / "target.tif", heights(folder, **wishes))
+            check_output(resolve(folder / "reference.tif", folder / "target.tif", heights(folder, **wishes)))
     with pytest.raises(pcwlad_geo.InputError, match=r"reference.tif has no georef.* or an RPC with --dem"):
-        check_output(folder / "reference.tif", folder / "target.tif", Settings(tr=(30.0, 30.0)))
+        check_output(resolve(folder / "reference.tif", folder / "target.tif", Settings(tr=(30.0, 30.0))))
 
 
 def test_its_siblings_lie_on_the_same_lattice(

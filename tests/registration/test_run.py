@@ -27,7 +27,7 @@ from pcwlad_geo.registration import assessment
 from pcwlad_geo.registration.quality import Quality, Reason
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import register_pair
-from pcwlad_geo.report.content import summarise
+from pcwlad_geo.report.summary import summarise
 from tests.execution.calls import Shuffled
 from tests.scenes import CRS_OF_SCENE, Array, make_grid, render, write
 

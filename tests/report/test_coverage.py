@@ -10,9 +10,9 @@ from pcwlad_geo.matching import Candidates
 from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration.match_record import GROUND, MatchRecord
-from pcwlad_geo.report.content import summarise
-from pcwlad_geo.report.figures import KINDS, coverage_figure, missing_kinds
+from pcwlad_geo.report.maps import GAP_STYLES, coverage_figure, missing_kinds
 from pcwlad_geo.report.statistics import REASONS, Coverage, coverage_of
+from pcwlad_geo.report.summary import summarise
 
 Make = Callable[..., Registration]
 SHAPE = (400, 600)
@@ -152,7 +152,7 @@ def test_a_strip_and_no_points(registration: Make) -> None:
 
 
 def test_every_reason_has_a_kind_once() -> None:
-    named = [reason for kind in KINDS for reason in kind.reasons]
+    named = [reason for kind in GAP_STYLES for reason in kind.reasons]
     assert sorted(named) == sorted(REASONS)
 
 

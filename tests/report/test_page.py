@@ -15,8 +15,9 @@ import pytest
 
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration import Registration
-from pcwlad_geo.report.content import summarise
-from pcwlad_geo.report.page import MARKS, compose, headline, report_page, warp_line
+from pcwlad_geo.report.answers import MARKS, headline
+from pcwlad_geo.report.page import compose, report_page, warp_line
+from pcwlad_geo.report.summary import summarise
 from tests.chromium import show
 from tests.registrations import of_files, write_pair
 

@@ -19,8 +19,9 @@ import pcwlad_geo
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.raster.output_format import verify_output
 from pcwlad_geo.registration import Registration
-from pcwlad_geo.report.content import summarise
-from pcwlad_geo.report.page import check_pdf, compose, report_page, to_pdf
+from pcwlad_geo.report.page import compose, report_page
+from pcwlad_geo.report.pdf import check_pdf, to_pdf
+from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.report.views import checkered
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from tests.registrations import of_files, write_pair

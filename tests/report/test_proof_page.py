@@ -10,7 +10,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from pcwlad_geo.cli.job import proof_text
+from pcwlad_geo.cli.prove import proof_text
 from pcwlad_geo.correction.proof_result import (
     ClassEntry,
     CorrectionEntry,
@@ -26,8 +26,9 @@ from pcwlad_geo.correction.proof_result import (
     UnobservableError,
 )
 from pcwlad_geo.registration.proof.resampling import moves_of
-from pcwlad_geo.report.content import proof_numbers, to_json
-from pcwlad_geo.report.page import proof_page
+from pcwlad_geo.report.json_content import to_json
+from pcwlad_geo.report.proof_page import proof_page
+from pcwlad_geo.report.summary import proof_numbers
 from tests.registrations import make_registration
 
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "proof.schema.json"

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from pcwlad_geo.cli.job import Outcome
+from pcwlad_geo.cli.pair import Outcome
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.report import page
-from pcwlad_geo.report.content import summarise
 from pcwlad_geo.report.statistics import judge_requirements
+from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.requirements import Command, RequirementResult, parse_requirement
 from pcwlad_geo.text import plain
 from tests.registrations import without_crs
@@ -102,5 +102,5 @@ def test_met_by_the_points_of_ground_that_is_poor(registration: Make) -> None:
     report = summarise(replace(doubtful, decision=decision), [])
     shown = page.report_page(report, page.compose(doubtful, report, None))
     assert '<li class="caution"><strong><span class="mark">!</span> CE90 &lt;= 1 px' in shown
-    ending = Outcome(plain(report), {"numbers": Path("report.json")}).text()
+    ending = Outcome(report, {"numbers": Path("report.json")}).text()
     assert ending.splitlines()[-2] == "PASSED at the tie points of a poor registration"

@@ -15,8 +15,9 @@ import pytest
 
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.registration import Registration
-from pcwlad_geo.report.content import error_statistics, summarise, to_json
+from pcwlad_geo.report.json_content import to_json
 from pcwlad_geo.report.statistics import KEPT
+from pcwlad_geo.report.summary import error_statistics, summarise
 
 Make = Callable[..., Registration]
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "report.schema.json"

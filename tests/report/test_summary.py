@@ -11,9 +11,10 @@ import pytest
 from pcwlad_geo.correction.fit import CANDIDATES
 from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.correction.selection import choose
-from pcwlad_geo.raster.identity import FileIdentity
+from pcwlad_geo.raster import FileIdentity
 from pcwlad_geo.registration import InputFile, Registration
-from pcwlad_geo.report.content import summarise, to_json
+from pcwlad_geo.report.json_content import to_json
+from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.text import plain
 from tests.registrations import json_of
 

@@ -12,11 +12,9 @@ import rasterio
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.view import Patch, View
+from pcwlad_geo.raster import Patch, View, Window
 from pcwlad_geo.registration import Registration
-from pcwlad_geo.report import views
-from pcwlad_geo.report.views import SIDE_PX, pair_views, read_backdrop, stretched
+from pcwlad_geo.report.views import VIEWS, pair_views, read_backdrop, stretched
 from tests.registrations import SHIFT_PX, of_files
 from tests.scenes import write
 
@@ -50,7 +48,7 @@ def test_after_the_correction_both_show_the_same(made: Registration) -> None:
     assert [view.title for view in views] == [EDGE, "the largest residual"]
     for view in views:
         assert view.after is not None
-        assert view.reference.shape == view.before.shape == view.after.shape == (SIDE_PX, SIDE_PX)
+        assert view.reference.shape == view.before.shape == view.after.shape == (VIEWS.side_px, VIEWS.side_px)
         after = np.abs(view.reference.astype(int) - view.after)[view.after > 0]
         before = np.abs(view.reference.astype(int) - view.before)[view.before > 0]
         assert np.percentile(after, 95) <= 4
@@ -88,9 +86,9 @@ def test_one_place_is_shown_once(made: Registration) -> None:
 
 
 def test_the_target_lies_where_its_displacement_puts_it(made: Registration) -> None:
-    """A view of n target px shows the displacement as SIDE_PX / n times as many of its own."""
+    """A view of n target px shows the displacement as VIEWS.side_px / n times as many of its own."""
     view = pair_views(made)[0]
-    step = SIDE_PX / view.shown_px
+    step = VIEWS.side_px / view.shown_px
     shift = np.round(SHIFT_PX * step).astype(int)
     moved = np.roll(view.before, -shift[::-1], axis=(0, 1)).astype(int)
     inner = np.s_[80:-80, 80:-80]
@@ -113,9 +111,7 @@ def test_a_small_raster_shows_what_a_large_one_would(
     made: Registration, damaged: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A small one is read as a whole, unless that fails: parts of it may be readable."""
-    with monkeypatch.context() as large:
-        large.setattr(views, "WHOLE_PX", 0)
-        expected = pair_views(made)
+    expected = pair_views(made, replace(VIEWS, whole_px=0))
     if damaged:
         read = View.read
 

@@ -6,6 +6,7 @@ import sqlite3
 import warnings
 import xml.etree.ElementTree as ET
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,12 @@ from pyproj import Geod
 from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError, OutputError, TrustError
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster import Trust, trusting
 from pcwlad_geo.raster.crs import displacement_m
 from pcwlad_geo.tiepoints import geopackage
 from pcwlad_geo.tiepoints.readers import read_point_file
-from pcwlad_geo.tiepoints.table import COLUMNS, TiePointTable
+from pcwlad_geo.tiepoints.table import POINT_COLUMNS, TiePointTable
 
 
 def table(crs: CRS | None, xy: np.ndarray, displacement_m: np.ndarray) -> TiePointTable:
@@ -64,7 +66,7 @@ def test_points_lines_and_attributes(tmp_path: Path) -> None:
     assert CRS.from_user_input(meta["crs"]) == UTM_TABLE.crs
     assert shapely.get_coordinates(shapely.from_wkb(geometry)) == pytest.approx(UTM_TABLE.xy)
     values = dict(zip(meta["fields"], fields, strict=True))
-    assert tuple(values) == COLUMNS
+    assert tuple(values) == POINT_COLUMNS
     assert list(values["id"]) == [1, 2, 3]
     assert list(values["status"]) == ["fit", "check", "rejected"]
     assert values["d_row"] == pytest.approx([-0.5] * 3)
@@ -89,11 +91,11 @@ WHERE id < 0"""
 
 
 def test_a_query_of_a_stranger_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    columns = ", ".join(f"0.0 AS {name}" for name in COLUMNS[1:])
+    columns = ", ".join(f"0.0 AS {name}" for name in POINT_COLUMNS[1:])
     path = changed(tmp_path / "endless.gpkg", ENDLESS.format(columns))
     with pytest.raises(TrustError, match=r"the view 'tie_points', a query that may never end.*--trust-vrt"):
         read_point_file(path)
-    monkeypatch.setattr("pcwlad_geo.raster.vectors.READING_S", 0.2)
+    monkeypatch.setattr("pcwlad_geo.raster.vectors.LIMITS", replace(LIMITS, reading_s=0.2))
     with trusting(Trust(vrt=True)), pytest.raises(InputError, match="interrupted"):
         read_point_file(path)
 

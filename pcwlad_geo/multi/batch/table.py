@@ -13,8 +13,9 @@ from typing import Any, Final
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.job import output_folder
-from pcwlad_geo.limits import BATCH_ROWS, check_count
-from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings, to_setting
+from pcwlad_geo.limits import LIMITS, check_count
+from pcwlad_geo.option_text import to_setting
+from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import read_text
 from pcwlad_geo.types import PathLike
@@ -59,8 +60,8 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
     value is invalid, two pairs have the same `out_dir`, an output is elsewhere, or there is no pair.
     """
     path = Path(table)
-    rows = list(islice(_rows(path), BATCH_ROWS + 1))
-    check_count(str(path), len(rows), BATCH_ROWS, "pairs")
+    rows = list(islice(_rows(path), LIMITS.batch_rows + 1))
+    check_count(str(path), len(rows), LIMITS.batch_rows, "pairs")
     if not rows:
         raise InputError(f"{path} holds no pairs: give a line for each, below the header")
     folder = Path(os.path.abspath(path)).parent  # noqa: PTH100  # resolve() would follow a symbolic link

@@ -16,7 +16,8 @@ from pcwlad_geo.multi.qa.closure import Triangle
 from pcwlad_geo.multi.qa.requirements import Judged, Preset, Scope
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster.identity import FileIdentity
-from pcwlad_geo.report.content import Positive, filled, rounded, versions
+from pcwlad_geo.report.content import Positive
+from pcwlad_geo.report.json_content import filled, rounded, versions
 from pcwlad_geo.requirements import Unit
 from pcwlad_geo.text import csv_of, plain
 

@@ -128,7 +128,7 @@ def qa(
     rasters = [rasters] if isinstance(rasters, str | os.PathLike) else list(rasters)
     settings = _settings(options)
     if settings.pdf:
-        from pcwlad_geo.report.page import check_pdf
+        from pcwlad_geo.report.pdf import check_pdf
 
         check_pdf()
     requirements = [read_requirement(text) for text in settings.require]
@@ -280,13 +280,13 @@ def write_results(result: QaResult, folder: OutputFolder) -> None:
     from pcwlad_geo.multi.pages import write_texts
     from pcwlad_geo.multi.qa.numbers import summarise, to_csv
     from pcwlad_geo.multi.qa.page import qa_page
-    from pcwlad_geo.report.content import to_json  # slow to load
+    from pcwlad_geo.report.json_content import to_json  # slow to load
 
     kinds = [kind for kind in NAMES if kind != "pdf" or result.settings.pdf]
     summary = summarise(result, sorted(NAMES[kind] for kind in kinds))
     page = qa_page(summary)
     if "pdf" in kinds:
-        from pcwlad_geo.report.page import to_pdf
+        from pcwlad_geo.report.pdf import to_pdf
 
         folder.path(NAMES["pdf"]).write_bytes(to_pdf(page))
     texts = {"table": to_csv(summary), "report": page, "numbers": to_json(summary)}

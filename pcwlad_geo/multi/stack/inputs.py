@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Warned
-from pcwlad_geo.limits import BATCH_ROWS, check_count
+from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, rasters_of
@@ -162,14 +162,14 @@ def read_table(table: Path, columns: Iterable[str]) -> list[dict[str, str]]:
     """
     try:
         text = io.StringIO(read_text(table, encoding="utf-8-sig"))
-        rows = list(islice(csv.DictReader(text), BATCH_ROWS + 1))
+        rows = list(islice(csv.DictReader(text), LIMITS.batch_rows + 1))
     except OSError as error:
         raise InputError(f"cannot read {table}: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table} is no CSV table in UTF-8: {error}") from error
     if "\0" in text.getvalue():
         raise InputError(f"{table} holds a NUL character, which no CSV table has: write it again as text")
-    check_count(str(table), len(rows), BATCH_ROWS, "lines")
+    check_count(str(table), len(rows), LIMITS.batch_rows, "lines")
     for column in columns:
         if not rows or not all(row.get(column) for row in rows):
             raise InputError(f"{table} needs a column '{column}' with a value in every line")

@@ -15,7 +15,7 @@ from pcwlad_geo.multi.stack.pair import StackPair
 from pcwlad_geo.multi.stack.quality import StackQuality
 from pcwlad_geo.multi.stack.result import BlockNumbers, Chosen, PlacedImage, RpcFiles, Stack, StackImage
 from pcwlad_geo.options import Settings
-from pcwlad_geo.report.content import filled, versions
+from pcwlad_geo.report.json_content import filled, versions
 from pcwlad_geo.requirements import RequirementResult
 from pcwlad_geo.text import csv_of, mismatch, read_json
 

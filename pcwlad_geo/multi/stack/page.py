@@ -20,12 +20,14 @@ from pcwlad_geo.multi.stack.parameters import GRADING
 from pcwlad_geo.multi.stack.quality import GRADES_OF_IMAGES
 from pcwlad_geo.multi.stack.result import Stack, StackImage
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.write import NAMES
+from pcwlad_geo.outputs.files import OUTPUT_NAMES
 from pcwlad_geo.raster.file_tree import file_name
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration import Decision, Prealignment, Registration
-from pcwlad_geo.report import figures
-from pcwlad_geo.report.page import Answer, Headline, State, page_environment
+from pcwlad_geo.report.answers import Answer, Headline, State
+from pcwlad_geo.report.maps import displacement_figure
+from pcwlad_geo.report.page_templates import page_environment
+from pcwlad_geo.report.time_lines import TimeLine, time_line_figure
 from pcwlad_geo.report.views import pair_views, read_backdrop
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
@@ -87,7 +89,7 @@ class Link:
 
 def _report_of(pair: StackPair) -> str:
     """Return the name of a pair's report page, or of its numbers where it was matched without a page."""
-    page, numbers = (NAMES[kind] for kind in ("report", "numbers"))
+    page, numbers = (OUTPUT_NAMES[kind] for kind in ("report", "numbers"))
     without_page = (pair.folder / numbers).exists() and not (pair.folder / page).exists()
     return numbers if without_page else page
 
@@ -123,7 +125,7 @@ def stack_page(result: Stack, frame: StackFrame | None = None, layout: StackLayo
         worst_pair=worst_pair and (file_name(worst_pair.target.uri), file_name(worst_pair.reference.uri)),
         views=[] if worst_pair is None else pair_views(worst_pair),
         field=worst_pair
-        and figures.displacement_figure(
+        and displacement_figure(
             worst_pair.tie_points, worst_pair.reference.grid.shape, read_backdrop(worst_pair.reference)
         ),
         paper=False,
@@ -286,8 +288,8 @@ def _shifts_in_time(result: Stack) -> tuple[str, str] | None:
     )
     no_model, none = np.full(moved_px.shape, np.nan), np.zeros(len(dated), bool)
     span = days[0], days[-1]
-    line = figures.TimeLine(days, moved_px, np.hypot(*sigma_px.T) / 2**0.5, no_model, none, (), span)
-    return figures.time_line_figure(line), f"{len(dated)} images from {span[0]} to {span[1]}"
+    line = TimeLine(days, moved_px, np.hypot(*sigma_px.T) / 2**0.5, no_model, none, (), span)
+    return time_line_figure(line), f"{len(dated)} images from {span[0]} to {span[1]}"
 
 
 def _ring(names: Sequence[str], layout: StackLayout) -> list[Node]:

@@ -28,7 +28,7 @@ from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.registration import Motion, Reason, estimate_tile_count
 from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
 from pcwlad_geo.registration.positions import position_conflict
-from pcwlad_geo.report.finished import NUMBERS, read_report, report_of_same_job
+from pcwlad_geo.report.finished import REPORT_FILE, read_report, report_of_same_job
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -107,7 +107,7 @@ def measured_pair(
     edge, points, report = None, None, {}
     if reason is None:
         report = read_report(place)  # also its warnings, so that a resumed run repeats them
-        if not report and (place / NUMBERS).exists():
+        if not report and (place / REPORT_FILE).exists():
             raise OutputError(
                 f"{place} has a damaged report (report.json is none of this program): "
                 "remove the folder, and run again"

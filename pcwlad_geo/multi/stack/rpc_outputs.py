@@ -15,7 +15,8 @@ from pcwlad_geo.events import EventCallback, Progress, only_warnings
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.multi.stack.rpc_images import PlacedImages
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.write import NAMES, BandOutput, orthorectify_band
+from pcwlad_geo.outputs.bands import BandOutput, orthorectify_band
+from pcwlad_geo.outputs.files import OUTPUT_NAMES
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.identity import identify
 from pcwlad_geo.raster.output_format import OutputFormat
@@ -80,4 +81,4 @@ def warp_image(
 
 def rpc_names(images: Sequence[str]) -> list[str]:
     """Return the names of the files of corrected RPCs that images of these names would have."""
-    return [NAMES[kind].format(stem=name) for name in images for kind in ("rpc", "rpc_text")]
+    return [OUTPUT_NAMES[kind].format(stem=name) for name in images for kind in ("rpc", "rpc_text")]

@@ -12,7 +12,7 @@ import numpy as np
 from pcwlad_geo.correction.error_statistics import float_pair
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import RANK, pseudo_inverse
-from pcwlad_geo.limits import COORDINATE
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.multi.block.parameters import BLOCK
 from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.multi.stack.parameters import ADJUSTMENT
@@ -26,7 +26,7 @@ def checked_numbers(numbers: Mapping[str, Any], place: Path) -> Mapping[str, Any
     try:
         for pair in numbers["pairs"]:
             figures = [float(pair.get(name) or 0.0) for name in ("sigma_px", "redundancy")]
-            if not all(0 <= figure <= COORDINATE for figure in figures):
+            if not all(0 <= figure <= LIMITS.coordinate for figure in figures):
                 raise ValueError("the figures of a pair are not valid numbers")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{place} is damaged ({error}): stack the images again") from error
@@ -46,9 +46,9 @@ def dated_images(
             shift, sigma = (np.array(entry[name], np.float64) for name in ("shift_px", "sigma_px"))
             size = np.array(entry["pixel_size_m"] or (1.0, 1.0), np.float64)
             sizes = np.array([shift, sigma, size])
-            if sizes.shape != (3, 2) or not (np.abs(sizes) <= COORDINATE).all():
+            if sizes.shape != (3, 2) or not (np.abs(sizes) <= LIMITS.coordinate).all():
                 raise ValueError(f"the figures of {source.name} must be pairs of numbers")
-            if sigma.min() < 0 or size.min() < 1 / COORDINATE:
+            if sigma.min() < 0 or size.min() < 1 / LIMITS.coordinate:
                 raise ValueError(f"a sigma or a pixel of {source.name} is below zero")
             if (entry["registered"] or source.name) != plain_name(entry["registered"] or source.name):
                 raise ValueError(f"{entry['registered']!r} is no name of a file")
@@ -86,7 +86,7 @@ def position_covariance(numbers: Mapping[str, Any]) -> Float64 | None:
         if pair["status"] != "used" or first is None or second is None or not sigma or redundancy is None:
             continue
         # the variance of the observation itself, of which `robust.reliability` made the sigma
-        variance = max(float(sigma), 1 / COORDINATE) ** 2 / max(float(redundancy), least)
+        variance = max(float(sigma), 1 / LIMITS.coordinate) ** 2 / max(float(redundancy), least)
         design = np.zeros(len(names))
         design[[first, second]] = -1.0, 1.0
         normal += np.outer(design, design) / variance

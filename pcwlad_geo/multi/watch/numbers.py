@@ -10,7 +10,7 @@ from itertools import takewhile
 from pcwlad_geo.multi.stack.numbers import StackRequirement
 from pcwlad_geo.multi.watch.dates import YEAR_S
 from pcwlad_geo.multi.watch.ground_motion import GroundMotion
-from pcwlad_geo.report.content import versions
+from pcwlad_geo.report.json_content import versions
 
 
 @dataclass(frozen=True, slots=True)

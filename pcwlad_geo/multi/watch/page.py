@@ -14,8 +14,9 @@ from pcwlad_geo.multi.pages import write_texts
 from pcwlad_geo.multi.watch.ground_motion import MotionRaster, page_data, write_motion
 from pcwlad_geo.multi.watch.numbers import WatchNumbers
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.report import figures
-from pcwlad_geo.report.page import page_environment, page_script
+from pcwlad_geo.report.maps import motion_figure
+from pcwlad_geo.report.page_templates import page_environment, page_script
+from pcwlad_geo.report.time_lines import TimeLine, time_line_figure
 from pcwlad_geo.text import csv_of
 
 NAMES: Final = {"numbers": "watch.json", "table": "watch.csv", "report": "watch.html", "motion": "motion.tif"}
@@ -78,7 +79,7 @@ def _page(result: WatchNumbers, raster: MotionRaster | None) -> str:
     days = np.array([image.date for series in result.series for image in series.images], "datetime64[D]")
     for series in result.series:
         images = series.images
-        line = figures.TimeLine(
+        line = TimeLine(
             np.array([image.date for image in images], "datetime64[D]"),
             np.array([image.shift_px for image in images]),
             np.array([image.sigma_px for image in images]),
@@ -87,11 +88,11 @@ def _page(result: WatchNumbers, raster: MotionRaster | None) -> str:
             [[image.name for image in images].index(step.image) for step in series.steps],
             (days.min(), days.max()),
         )
-        lines.append((series, figures.time_line_figure(line)))
+        lines.append((series, time_line_figure(line)))
     motion, data = None, None
     if raster is not None:
         shape = raster.frame.grid.shape
-        motion, box = figures.motion_figure(raster.velocity_px, raster.moving, raster.cell_px, shape)
+        motion, box = motion_figure(raster.velocity_px, raster.moving, raster.cell_px, shape)
         data = page_data(raster, box)
     events = len(result.motion.regions) if result.motion else 0
     for series in result.series:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
-from pcwlad_geo.limits import COORDINATE, TREND_FIGURES, check_count
+from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.multi.pages import write_texts
 from pcwlad_geo.multi.qa.numbers import QaNumbers
 from pcwlad_geo.multi.watch.dates import date_in, seconds_of, without_dates
@@ -71,7 +71,7 @@ def trend(
         on_event(Progress("reading", number, len(files)))
         moments = _moments(file, top)
         count += len(moments)
-        check_count(str(top), count, TREND_FIGURES, "pairs in its reports")
+        check_count(str(top), count, LIMITS.trend_figures, "pairs in its reports")
         if not moments:
             skipped.append(str(file.relative_to(top)))
             on_event(Warned(f"{file} holds no figures: it is left out"))
@@ -116,7 +116,7 @@ def _moments(file: Path, top: Path) -> list[tuple[str, str, Moment]]:
 def _check_moment(moment: Moment) -> None:
     """Raise `TypeError` or `ValueError` if a figure of a damaged report cannot be drawn."""
     numbers = [moment.n, *moment.mean_px, *([] if moment.ce90_px is None else [moment.ce90_px])]
-    if not all(abs(number) <= COORDINATE for number in numbers):
+    if not all(abs(number) <= LIMITS.coordinate for number in numbers):
         raise ValueError("a figure is not finite")
     seconds_of(moment.date)
 
@@ -174,7 +174,7 @@ def _write(
     out_dir: Path,
     overwrite: bool,
 ) -> Trend:
-    from pcwlad_geo.report.content import to_json, versions
+    from pcwlad_geo.report.json_content import to_json, versions
 
     with OutputFolder(out_dir, overwrite=overwrite, results=TREND_FILES["numbers"]) as folder:
         paths = {kind: folder.final_path(name) for kind, name in TREND_FILES.items()}

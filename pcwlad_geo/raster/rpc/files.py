@@ -14,7 +14,7 @@ from affine import Affine
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.limits import RPC_BYTES, check_rpc
+from pcwlad_geo.limits import LIMITS, check_rpc
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.rpc.model import TERMS, RpcModel
@@ -102,7 +102,7 @@ def parse_rpc_text(path: Path) -> RpcModel:
     Raises `InputError` if the file holds no RPC, or an item is missing.
     """
     try:
-        text = read_text(path, most=RPC_BYTES, errors="replace")
+        text = read_text(path, most=LIMITS.rpc_bytes, errors="replace")
     except OSError as error:
         raise InputError(f"the RPC file {path} cannot be read: {error.strerror}") from error
     values = _rpb(text) if path.suffix.upper() == ".RPB" else _rpc_txt(text)

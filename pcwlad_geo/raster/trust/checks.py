@@ -8,7 +8,7 @@ from typing import Final
 from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 
-from pcwlad_geo.limits import VRT_BYTES
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.trust.destinations import destination
 from pcwlad_geo.raster.trust.file_kinds import HEAD_BYTES, SIGNED_DRIVERS, Kind, kind_of_head
 from pcwlad_geo.raster.trust.local_files import Place, Stamp, UntrustedFileError
@@ -66,9 +66,9 @@ def _checked(file: Place, visited: set[Place], *, any_driver: bool) -> Kind:
 
 
 def _check_vrt(file: Place, visited: set[Place]) -> None:
-    text = file.read(VRT_BYTES + 1)
-    if len(text) > VRT_BYTES:
-        raise UntrustedFileError(f"{file.uri} is a VRT of more than {VRT_BYTES} bytes")
+    text = file.read(LIMITS.vrt_bytes + 1)
+    if len(text) > LIMITS.vrt_bytes:
+        raise UntrustedFileError(f"{file.uri} is a VRT of more than {LIMITS.vrt_bytes} bytes")
     try:
         names = list(dict.fromkeys(files_named_by(parse_vrt(text))))
     except UntrustedVrtError as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from xml.parsers import expat
 
-from pcwlad_geo.limits import VRT_BYTES
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.trust.file_kinds import HEAD_BYTES, MARK
 
 _FILES: Final = ("SourceFilename", "SourceDataset")
@@ -85,7 +85,7 @@ def gcps_only(path: Path) -> str | None:
             return None
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
-            text = head + file.read(VRT_BYTES) if MARK in head else b""
+            text = head + file.read(LIMITS.vrt_bytes) if MARK in head else b""
         root = parse_vrt(text)
     except (OSError, ValueError):
         return None

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from pcwlad_geo.report.figures import displacement_figure, nice_number
+from pcwlad_geo.report.maps import displacement_figure, nice_number
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 

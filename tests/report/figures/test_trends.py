@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcwlad_geo.report.figures import TREND_BINS, bin_means, trend_figure
+from pcwlad_geo.report.graphs import GRAPH_STYLE, bin_means, trend_figure
 from tests.registrations import make_registration
 
 
@@ -11,7 +11,7 @@ def test_means_and_errors_are_those_of_each_stretch() -> None:
     places, values = rng.uniform(100, 700, 400), rng.normal(size=400)
     places[:3] = np.nan
     middles, means, errors = bin_means(places, values, (100, 700))
-    assert len(middles) == TREND_BINS
+    assert len(middles) == GRAPH_STYLE.trend_bins
     for middle, mean, error in zip(middles, means, errors, strict=True):
         here = values[np.abs(places - middle) < 25]
         np.testing.assert_allclose([mean, error], [here.mean(), here.std(ddof=1) / np.sqrt(len(here))])
