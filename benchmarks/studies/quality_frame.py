@@ -21,6 +21,8 @@ from tests.scenes import make_grid, render
 SHAPE: Final = (320, 320)
 MOVED_PX: Final = (7.3, -5.6)
 """Displacement of the ground (col, row) that the search reaches."""
+NEAR_PX: Final = (2.3, -1.6)
+"""Displacement at which what stands still draws the points, all or part of the way."""
 NOISE: Final = 1.5
 SEED: Final = 54
 Overlay = Callable[[Array], Array]
@@ -156,6 +158,7 @@ KINDS: Final[dict[str, Kind]] = {
 GROUNDS: Final[dict[str, tuple[float, int, tuple[float, float] | None]]] = {
     "clear ground, moved": (1.0, 0, MOVED_PX),
     "faint ground, moved": (0.12, 0, MOVED_PX),
+    "faint ground, moved by 2 px": (0.12, 0, NEAR_PX),
     "faint ground, elsewhere": (0.12, 1, None),
     "clear ground, in place": (1.0, 0, (0.0, 0.0)),
 }

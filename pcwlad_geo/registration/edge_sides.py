@@ -1,8 +1,9 @@
-"""Whether edges that rise and edges that fall lie at different displacements.
+"""Errors that all tie points share, as edges or light differ between both images; no residual shows them.
 
 A shadow lies beside what casts it, and the edges of a height model need not be those of an image: such a pair
-agrees on the mean of the displacements of both sides of things, an error that all its points share and no
-residual shows. Here the edges of either sign of one image are compared with all edges of the other.
+agrees on the mean of the displacements of both sides of things. Here the edges of either sign of one image
+are compared with all edges of the other. Slopes in other light have other edges, and nearly the same grey
+values: where these correlate closely, the displacement that they tell is compared with that of the points.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.raster.view import Patch
-from pcwlad_geo.types import Bool, Float32, Float64
+from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +37,30 @@ class EdgeParameters:
     """Parts across the longer side, in which the difference must have one sign; one may tell nothing."""
     least_px: float = 0.25
     """Least error that is told: at most 0.1 px on bands of the same edges, 0.38 px of heights."""
+    surface_sigma_px: float = 8.0
+    """Sigma of the filter whose result is subtracted from grey values, and that levels their contrast."""
+    alike: float = 0.8
+    """Least correlation of grey values, in all strips but one, from which they tell a displacement."""
+    least_light_px: float = 0.1
+    """Least distance of both that counts: 0.5 px of slopes in other light, at most 0.1 px of most bands."""
 
 
-def error_of_sides_px(
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedErrors:
+    """Errors that all tie points share, (2,) view px (col, row) each, 0 where that may be chance."""
+
+    of_sides_px: Float64
+    """Half of the distance between rising and falling edges."""
+    of_light_px: Float64
+    """Half of the distance between what edges and what grey values tell: the truth is one, or between."""
+
+
+def shared_errors(
     pair: ViewPair, points: TiePoints, parameters: EdgeParameters = EdgeParameters()
-) -> Float64:
-    """Return (2,) the error (col, row) that tie points share because their edges differ by side, view px.
+) -> SharedErrors:
+    """Return the errors that tie points share, see the module.
 
-    It is half of the distance between rising and falling edges, 0 where that may be chance. The points are of
-    the views of the pair. Raises `InputError` if these cannot be read.
+    The points are of the views of the pair. Raises `InputError` if these cannot be read.
     """
     col, row = np.median(points.reference_xy_px, axis=0).astype(int).tolist()
     half = parameters.side_px // 2
@@ -56,26 +72,69 @@ def error_of_sides_px(
     target = _on_reference(pair.target.read(window.moved(shift_px[1], shift_px[0])), window, shift_px, points)
     valid = reference.valid & target.valid
     valid = cv2.erode(valid.astype(np.uint8), np.ones((parameters.surroundings_px,) * 2), borderValue=0) > 0
-    gradients = [_gradient(patch, parameters) for patch in (reference, target)]
+    edges = [_gradient(patch, parameters) for patch in (reference, target)]
+    values = [_levelled(patch, parameters) for patch in (reference, target)]
     along = int(valid.shape[1] > valid.shape[0])
     parts = np.array_split(np.arange(valid.shape[along]), parameters.strips)
-    error_px = np.zeros(2)
+    alike = [
+        part
+        for part in parts
+        if _correlation(*_strip(values[0], values[1], valid, part, along)) >= parameters.alike
+    ]
+    of_sides_px, of_light_px = np.zeros(2), np.zeros(2)
     for axis in (0, 1):
-        first_plane, second_plane = gradients[0][axis], gradients[1][axis]
-        strips = [[np.take(plane, part, along) for plane in (first_plane, second_plane)] for part in parts]
-        inside = [np.take(valid, part, along) for part in parts]
-        apart_px = np.array(
-            [
-                _separation_px(first, second, at, axis, parameters)
-                for (first, second), at in zip(strips, inside, strict=True)
-            ]
-        )
-        finite = np.isfinite(apart_px)
-        same_sign = np.abs(np.sign(apart_px).sum(axis=0, where=finite)) == finite.sum(axis=0)
-        if (finite.sum(axis=0) >= parameters.strips - 1).all() and same_sign.all():
-            size_px = np.abs(np.nanmedian(apart_px, axis=0)) / 2
-            error_px[axis] = size_px.mean() if size_px.min() >= parameters.least_px else 0.0
-    return error_px
+        first, second = edges[0][axis], edges[1][axis]
+        apart_px = [
+            _separation_px(*_strip(first, second, valid, part, along), axis, parameters) for part in parts
+        ]
+        off_px = [
+            _displacement(*_strip(values[0], values[1], valid, part, along), axis, parameters)
+            for part in alike
+        ]
+        of_sides_px[axis] = _error_of_sides_px(np.array(apart_px), parameters)
+        of_light_px[axis] = _error_of_light_px(np.array(off_px), parameters)
+    return SharedErrors(of_sides_px, of_light_px)
+
+
+def _strip(
+    first: Float32, second: Float32, valid: Bool, part: Index, along: int
+) -> tuple[Float32, Float32, Bool]:
+    return np.take(first, part, along), np.take(second, part, along), np.take(valid, part, along)
+
+
+def _error_of_sides_px(apart_px: Float64, parameters: EdgeParameters) -> float:
+    """Return half of the typical distance of (strips, 2) ones, NaN unknown; 0 where their signs differ."""
+    finite = np.isfinite(apart_px)
+    same_sign = np.abs(np.sign(apart_px).sum(axis=0, where=finite)) == finite.sum(axis=0)
+    if (finite.sum(axis=0) < parameters.strips - 1).any() or not same_sign.all():
+        return 0.0
+    size_px = np.abs(np.nanmedian(apart_px, axis=0)) / 2
+    return float(size_px.mean()) if size_px.min() >= parameters.least_px else 0.0
+
+
+def _error_of_light_px(off_px: Float64, parameters: EdgeParameters) -> float:
+    """Return half of what grey values of strips lie off, an (n,) array, NaN unknown; 0 if too few tell."""
+    off_px = off_px[np.isfinite(off_px)]
+    if len(off_px) < max(parameters.strips - 1, 2):
+        return 0.0
+    error_px = float(off_px.std(ddof=1)) / len(off_px) ** 0.5
+    middle_px = abs(float(off_px.mean()))
+    return middle_px / 2 if middle_px >= max(parameters.least_light_px, 2 * error_px) else 0.0
+
+
+def _correlation(first: Float32, second: Float32, valid: Bool) -> float:
+    """Return the highest correlation of two planes that lie at most a pixel apart along each axis."""
+    inner = valid[1:-1, 1:-1]
+    if np.count_nonzero(inner) < 2:
+        return 0.0
+    rows, cols = valid.shape
+    fixed = first[1:-1, 1:-1][inner]
+    fixed = (fixed - fixed.mean()) / max(float(fixed.std()), 1e-9)
+    correlations = []
+    for row, col in ((row, col) for row in range(3) for col in range(3)):
+        moving = second[row : rows - 2 + row, col : cols - 2 + col][inner]
+        correlations.append(float(fixed @ moving) / max(float(moving.std()) * len(moving), 1e-9))
+    return max(correlations)
 
 
 def _on_reference(target: Patch, window: Window, shift_px: list[int], points: TiePoints) -> Patch:
@@ -100,6 +159,15 @@ def _gradient(patch: Patch, parameters: EdgeParameters) -> tuple[Float32, Float3
         np.median(size) / 3 + 1e-9
     )
     return np.asarray(across / around), np.asarray(down / around)
+
+
+def _levelled(patch: Patch, parameters: EdgeParameters) -> Float32:
+    """Return grey values without those of the surroundings, divided by the contrast there."""
+    values, wide_px = patch.values.astype(np.float32), parameters.surface_sigma_px
+    fine = np.asarray(cv2.GaussianBlur(values, (0, 0), parameters.gradient_sigma_px), np.float32)
+    fine -= np.asarray(cv2.GaussianBlur(values, (0, 0), wide_px), np.float32)
+    around = np.sqrt(np.maximum(cv2.GaussianBlur(fine**2, (0, 0), wide_px), 0))
+    return np.asarray(fine / (around + np.float32(np.median(around) / 3 + 1e-9)), np.float32)
 
 
 def _separation_px(

@@ -1,7 +1,8 @@
 """Whether a pair that agrees at no displacement agrees in its ground, or in what stands still in both frames.
 
 A sensor's fixed pattern, dust, vignetting and burnt-in text lie on the same pixels of all frames of a camera,
-wherever the ground is. They are asked for only where the tie points lie on the same pixels of both files.
+wherever the ground is. They are asked for only where the tie points lie on the same pixels of both files, or
+at most a few pixels beside: what stands still draws the points of ground that has moved by so little.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
@@ -94,7 +96,18 @@ class FrameParameters:
     same_correlation: float = 0.95
     """Correlation of both images in these wavelengths from which their difference holds no ground."""
     rival_min_px: int = 5
-    """Least displacement that is distinguished from none so."""
+    """Least displacement that is distinguished from none so, and largest one of points that are asked."""
+    fine_z: float = 8.0
+    """Least correlation of the finest structure at no displacement, times the root of the number of pixels,
+    of frames with a common pattern: 10 and more."""
+    near_z: float = 6.0
+    """Least peak of the smoothed structure, standard deviations of its correlation: 6.6 and more of ground
+    that has moved by 1 to 5 px; at most 3.5 of other ground."""
+    near_ratio: float = 1.2
+    """Least ratio of this peak to the value at no displacement: 1.24 and more of ground that has moved by
+    1.7 px, at most 1.08 of bands in place."""
+    drawn_share: float = 0.75
+    """Largest part of the way from no displacement to this peak at which tie points are drawn back."""
     specks: SpeckParameters = field(default_factory=SpeckParameters)
     """Those of specks."""
 
@@ -116,6 +129,12 @@ class FrameEvidence:
     parameters: FrameParameters = FrameParameters()
 
     @property
+    def ground_px(self) -> tuple[float, float] | None:
+        """The displacement (col, row) at which the ground can be matched apart from what stands still."""
+        is_near = self.rival_px is None or max(map(abs, self.rival_px)) < self.parameters.rival_min_px
+        return None if is_near else self.rival_px
+
+    @property
     def is_frame(self) -> bool:
         """Whether the ground does not lie where the two agree."""
         return self.rival_px is not None or self.share < self.parameters.frame_share
@@ -129,9 +148,7 @@ class FrameEvidence:
         evidence = f"only {100 * self.share:.0f} % of the places with structure agree there {manner}"
         if self.rival_px is not None:
             col, row = self.rival_px
-            evidence = (
-                f"the difference of both shows ground that has moved by about ({col:+.0f}, {row:+.0f}) px"
-            )
+            evidence = f"without it there is ground that has moved by about ({col:+.0f}, {row:+.0f}) px"
         only = "only" if self.is_frame else "perhaps only"
         return (
             f"{SAME_PIXELS}{only} in what stands still in both frames: "
@@ -147,7 +164,7 @@ def frame_evidence(
     target_px: Float64,
     parameters: FrameParameters = FrameParameters(),
 ) -> FrameEvidence | None:
-    """Return what speaks for the ground of a pair whose tie points lie on the same pixels of both files.
+    """Return what speaks for the ground of a pair whose tie points lie on about the same pixels of both.
 
     None where they do not, where the images have too few places with structure, or where their grey values
     have nothing in common: then they are of different bands, and share no pattern of a sensor.
@@ -164,9 +181,10 @@ def frame_evidence(
         return None
     displacement_px = target_px - reference_px
     most_px = np.quantile(np.hypot(*displacement_px.T), parameters.most)
-    median_px = np.abs(np.median(displacement_px, axis=0)).max()
+    middle_px = np.median(displacement_px, axis=0)
+    median_px = np.abs(middle_px).max()
     exact = median_px <= parameters.identity_px and most_px <= parameters.scatter_px
-    if max(median_px, most_px) > parameters.pulled_px:
+    if median_px > parameters.rival_min_px:
         return None
     with suppress(InputError):
         (one, valid_in_one), (other, valid_in_other) = (
@@ -175,13 +193,14 @@ def frame_evidence(
         valid = valid_in_one & valid_in_other
         for end in (np.min, np.max):  # text and marks burnt in are as dark or bright as can be
             valid &= ~((one == end(one)) & (other == end(other)))
+        near_px = _near_rival(one, other, valid, middle_px, parameters)
+        if max(median_px, most_px) > parameters.pulled_px:
+            return None if near_px is None else FrameEvidence(1.0, near_px, parameters=parameters)
         raw = not (reference.georeferenced or target.georeferenced)  # others are no frames of a camera
         window, quarter = parameters.window_px, min(one.shape) // 8 * 2 + 1
         window = max(parameters.smallest_window_px, min(quarter, window)) if raw else window
-        share, rival_px = (
-            _share_at_identity(one, other, valid, window, parameters),
-            _rival(one, other, valid, parameters),
-        )
+        share = _share_at_identity(one, other, valid, window, parameters)
+        rival_px = _rival(one, other, valid, parameters) or near_px
         shares_pattern = exact and _common_grey(one, other, valid) >= parameters.common_grey
         if share is None or not (shares_pattern or rival_px):
             return None
@@ -358,6 +377,48 @@ def _rival(
     both = [(int(at[0]), int(at[1])), (-int(at[0]) % rows, -int(at[1]) % cols)]
     down, right = max(both, key=lambda place: phase[place])
     return float(right - cols * (2 * right > cols)), float(down - rows * (2 * down > rows))
+
+
+def _near_rival(
+    one: Float32, other: Float32, valid: Bool, middle_px: Float64, parameters: FrameParameters
+) -> tuple[float, float] | None:
+    """Return a displacement of the ground too small for the cepstrum, if points at `middle_px` miss it.
+
+    A pattern of single pixels shows in the finest structure, which correlates best at no displacement.
+    Smoothing takes most of it out, and what whole rows and columns have. The rest correlates where the
+    ground lies.
+    """
+    if not _has_common_pattern(one, other, valid, parameters.fine_z):
+        return None
+    first, second = (scipy.fft.rfft2(_structure(values, valid, parameters)) for values in (one, other))
+    surface = scipy.fft.irfft2((np.conj(first) * second).sum(axis=0), one.shape)
+    reach = parameters.reach_px
+    window = np.roll(surface, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    row, col = np.unravel_index(int(window.argmax()), window.shape)
+    least = max(parameters.near_z * surface.std(), parameters.near_ratio * surface[0, 0])
+    ground_px = np.array([col, row], np.float64) - reach
+    is_drawn = ground_px @ middle_px < parameters.drawn_share * (ground_px @ ground_px)
+    if window[row, col] < least or not is_drawn:
+        return None
+    return float(ground_px[0]), float(ground_px[1])
+
+
+def _has_common_pattern(one: Float32, other: Float32, valid: Bool, least_z: float) -> bool:
+    """Return whether the finest structure of both correlates best at no displacement."""
+    fine = [np.clip(_finest(values, valid), -4, 4) for values in (one, other)]
+    inner = np.s_[1:-1, 1:-1]
+    offsets = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1)]
+    products = [float((fine[0] * np.roll(fine[1], offset, axis=(0, 1)))[inner].sum()) for offset in offsets]
+    power = np.linalg.norm(fine[0]) * np.linalg.norm(fine[1])
+    at_none = products.pop(len(offsets) // 2)
+    least = least_z / max(int(np.count_nonzero(valid)), 1) ** 0.5 * float(power)
+    return bool(at_none > max(least, *products))
+
+
+def _finest(values: Float32, valid: Bool) -> Float32:
+    """Return the finest structure of an image, robust standard deviations."""
+    fine = (values - cv2.GaussianBlur(values, (0, 0), 1)) * valid
+    return np.asarray(fine / max(1.4826 * float(np.median(np.abs(fine[valid]))), 1e-9), np.float32)
 
 
 def _common_grey(one: Float32, other: Float32, valid: Bool) -> float:

@@ -20,7 +20,7 @@ from pcwlad_geo.raster.matching_grid import (
 )
 from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.decision import Decision, with_doubts
-from pcwlad_geo.registration.edge_sides import error_of_sides_px
+from pcwlad_geo.registration.edge_sides import shared_errors
 from pcwlad_geo.registration.frame_evidence import frame_evidence
 from pcwlad_geo.registration.match_record import record_ground
 from pcwlad_geo.registration.motions import Motion, describe_motions
@@ -55,6 +55,8 @@ class PairParameters:
     """Least ratio of the displacement along the epipolar lines to that across them, where none can be."""
     parallax_px: float = 0.5
     """Least parallax, RMS, target px."""
+    light_px: float = 0.12
+    """Half of the distance between edges and grey values that is warned of, target px."""
     jitter_px: float = 0.05
     """Least jitter of rows and columns, RMS, target px."""
 
@@ -106,11 +108,11 @@ def _with_frame_evidence(
     if evidence is None or evidence.doubt is None:
         return matches
     from_file = pair.settings.tie_points is not None
-    if evidence.rival_px is not None and not from_file and pair.reference.grid == pair.target.grid:
-        ground = _by_matching(pair, log, runner, parameters, evidence.rival_px)
+    if evidence.ground_px is not None and not from_file and pair.reference.grid == pair.target.grid:
+        ground = _by_matching(pair, log, runner, parameters, evidence.ground_px)
         ground = _without_clusters(ground, log, parameters)
         if ground.accepted:
-            col, row = evidence.rival_px
+            col, row = evidence.ground_px
             log.warn(
                 "what stands still in both frames agrees at no displacement; the ground was found about "
                 f"({col:+.0f}, {row:+.0f}) px off, and is matched there"
@@ -289,7 +291,8 @@ def _by_matching(
     for doubt in scene.decision.doubts:
         log.warn(doubt.text)
     if scene.decision.accepted and geometry.name == "planar":
-        table = _with_error_of_sides(table, scene.matches[scene.consistent], views, log)
+        points = scene.matches[scene.consistent]
+        table = _with_shared_errors(table, points, views, log, parameters.light_px)
     jitter_px = scene.jitter_px * float(file_px_per_px(views.target).max())
     if jitter_px >= parameters.jitter_px:
         log.warn(
@@ -319,17 +322,23 @@ def _doubts_of_motions(motions: Sequence[Motion]) -> tuple[Doubt, ...]:
     return (Doubt("fair", describe_motions(motions, accepted=True)),) if motions else ()
 
 
-def _with_error_of_sides(
-    table: TiePointTable, points: TiePoints, views: ViewPair, log: JobLog
+def _with_shared_errors(
+    table: TiePointTable, points: TiePoints, views: ViewPair, log: JobLog, least_light_px: float
 ) -> TiePointTable:
-    """Return tie points whose sigmas hold the error that they share where edges differ by side."""
-    error_px = error_of_sides_px(views, points) * file_px_per_px(views.target)
-    if not error_px.any():
-        return table
-    log.warn(
-        f"rising and falling edges lie ({2 * error_px[0]:.1f}, {2 * error_px[1]:.1f}) px (col, row) apart, "
-        "as where one image shows heights, or other shadows: the tie points are means of the two, and share "
-        "an error of half of that, which no residual shows and their sigmas hold"
-    )
-    shared_px2 = np.diag((error_px / SELECTION.common_sigma) ** 2)
-    return replace(table, covariance_px2=table.covariance_px2 + shared_px2)
+    """Return tie points whose sigmas hold the error that they share where edges or light differ."""
+    errors, unit_px = shared_errors(views, points), file_px_per_px(views.target)
+    sides_px, light_px = errors.of_sides_px * unit_px, errors.of_light_px * unit_px
+    if sides_px.any():
+        log.warn(
+            f"rising and falling edges lie ({2 * sides_px[0]:.1f}, {2 * sides_px[1]:.1f}) px (col, row) "
+            "apart, as where one image shows heights, or other shadows: the tie points are means of the two, "
+            "and share an error of half of that, which no residual shows and their sigmas hold"
+        )
+    if light_px.max() >= least_light_px:
+        log.warn(
+            f"grey values lie ({2 * light_px[0]:.1f}, {2 * light_px[1]:.1f}) px (col, row) beside what the "
+            "edges tell, as in other light: the tie points share an error of up to that, which no residual "
+            "shows and their sigmas hold"
+        )
+    shared_px2 = np.diag((np.maximum(sides_px, light_px) / SELECTION.common_sigma) ** 2)
+    return replace(table, covariance_px2=table.covariance_px2 + shared_px2) if shared_px2.any() else table

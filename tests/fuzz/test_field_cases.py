@@ -87,6 +87,7 @@ CASES: Final = (
     Case("thermal_fixed_pattern", ("register", "frame_0002.png", "frame_0004.png"), (3,), "stands still"),
     Case("plot_trial_period", ("register", "reference.tif", "one_plot_north.tif"), (0,), "", (0.0, -30.006)),
     Case("two_blocks_search_border", PAIR, (0,), "", (12.2, 0.0), 0.2, is_good=False),
+    Case("hirise_light", ("register", "before.tif", "after.tif"), (0,), "grey values lie"),
     Case("dsm_over_rgb_shadow", ("register", "rgb.tif", "dsm.tif"), (0,), "edges", is_good=False),
     Case(
         "slc_off", ("register", "reference.tif", "target_nodata0.tif"), (0,), "", (1.71, -0.60), is_good=True
@@ -108,7 +109,7 @@ CASES: Final = (
     Case("polar_fulldisk", ("match", "world_4326.tif", "goes_fulldisk.tif"), (3,), "candidates"),
     Case("ecostress_water", ("register", "water.tif", "lst.tif"), (3,), "(-66, +38) px"),
     Case("kh9_strip", ("register", "half_a.png", "half_b.png"), (3,), "a rough geotransform"),
-    Case("jitter_nearest", ("register", "b4.tif", "b8.tif"), (0,), "nearest neighbour"),
+    Case("jitter_nearest", ("register", "b4.tif", "b8.tif", "--features", "1000"), (0,), "nearest neighbour"),
     Case(
         "jpeg_exif_not_read", ("register", "visible.jpg", "thermal.jpg"), (0, 3), "4.8 times", is_good=False
     ),

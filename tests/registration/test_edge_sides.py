@@ -1,4 +1,4 @@
-"""Rising and falling edges that lie apart make an error that all tie points share."""
+"""Edges that rise or fall, or edges and grey values, lie apart: an error that all tie points share."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ import pytest
 from scipy import ndimage
 
 from pcwlad_geo.execution.runner import InThisProcess
+from pcwlad_geo.matching.types import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.assessment import fit_pair
+from pcwlad_geo.registration.edge_sides import shared_errors
 from pcwlad_geo.registration.matching import match_pair
 from pcwlad_geo.registration.opening import prepare_pair
-from tests.scenes import Array, make_grid, write
+from pcwlad_geo.registration.run import register_pair
+from tests.scenes import Array, make_grid, render, write
 
 SIDE_PX = 200
 GRID = make_grid((SIDE_PX, SIDE_PX))
@@ -49,3 +52,36 @@ def test_outlines_at_different_places_are_an_error_of_all_points(
         assert quality.grade != "good"
         # of an error in each axis, 90 % lie within 2.15 times its size
         assert quality.expected_ce90_px == pytest.approx(2.15 * told_px, rel=0.4)
+
+
+@pytest.mark.parametrize("off_px", [(0.0, 0.0), (0.4, -0.3)])
+@pytest.mark.parametrize("band", ["red", "thermal"])
+def test_grey_values_beside_the_points_are_an_error_of_all_points(
+    tmp_path: Path, band: str, off_px: tuple[float, float]
+) -> None:
+    """Of another band they tell nothing."""
+    paths = [
+        write(tmp_path / f"{name}.tif", render(GRID, shown, noise=2), GRID)
+        for name, shown in (("reference", "red"), ("target", band))
+    ]
+    at_px = np.random.default_rng(4).uniform(20, SIDE_PX - 20, (100, 2))
+    points = TiePoints(
+        reference_xy_px=at_px,
+        target_xy_px=at_px + off_px,
+        covariance_px2=np.tile(0.01 * np.eye(2), (100, 1, 1)),
+        score=np.ones(100),
+        forward_backward_px=np.zeros((100, 2)),
+    )
+    errors = shared_errors(prepare_pair(*paths, Settings()).views, points)
+    expected_px = np.abs(off_px) / 2 if band == "red" else np.zeros(2)
+    np.testing.assert_allclose(errors.of_light_px, expected_px, atol=0.05)
+
+
+@pytest.mark.slow
+def test_slopes_in_other_light_are_no_better_than_grey_values_tell(shared_data: Path) -> None:
+    case = shared_data / "field" / "hirise_light"
+    if not case.is_dir():
+        pytest.skip(f"no {case}")
+    result = register_pair(case / "before.tif", case / "after.tif", Settings())
+    assert result.quality is not None
+    assert 0.35 < result.quality.expected_ce90_px < 0.7

@@ -72,6 +72,38 @@ def test_moved_ground_that_draws_the_points_is_seen(tmp_path: Path) -> None:
     assert found.rival_px == (23, -11)
 
 
+@pytest.mark.parametrize("drawn_px", [(0.0, 0.0), (0.3, -0.2), (0.9, -0.6)])
+@pytest.mark.parametrize("moved_px", [(2.3, -1.6), (4.5, -3.7)])
+def test_ground_that_has_moved_by_few_pixels_is_seen(
+    tmp_path: Path, moved_px: tuple[float, float], drawn_px: tuple[float, float]
+) -> None:
+    """The pattern draws all points to it, or part of the way."""
+    frames = faint(0), faint(0, moved_px, 1)
+    infos = [describe(frame(tmp_path / f"{n}.tif", values)) for n, values in enumerate(frames)]
+    seen = frame_evidence(*infos, POINTS, POINTS + drawn_px)
+    assert seen is not None
+    assert seen.is_frame
+    np.testing.assert_allclose(seen.rival_px, moved_px, atol=0.8)
+
+
+@pytest.mark.parametrize("moved_px", [(0.0, 0.0), (2.3, -1.6), (4.5, -3.7)])
+def test_points_on_ground_that_has_moved_by_few_pixels_are_no_frame(
+    tmp_path: Path, moved_px: tuple[float, float]
+) -> None:
+    frames = faint(0), faint(0, moved_px, 1)
+    infos = [describe(frame(tmp_path / f"{n}.tif", values)) for n, values in enumerate(frames)]
+    seen = frame_evidence(*infos, POINTS, POINTS + moved_px)
+    assert seen is None or seen.doubt is None
+
+
+def test_frames_of_ground_that_has_moved_by_few_pixels_are_refused(tmp_path: Path) -> None:
+    frames = faint(0), faint(0, (2.3, -1.6), 1)
+    paths = [frame(tmp_path / f"{n}.tif", values) for n, values in enumerate(frames)]
+    result = register_pair(*paths, Settings(jobs=1))
+    assert result.status == "rejected"
+    assert "ground that has moved by about (+2, -" in str(result.reason)
+
+
 def test_ground_that_repeats_is_no_rival(tmp_path: Path) -> None:
     rows = 20 * np.sign(np.sin(np.arange(SHAPE[0]) * 2 * np.pi / 16))[:, None]
     found = evidence(tmp_path, 0.5 * ground(0) + 60 + rows, 0.5 * ground(0) + 60 - 0.7 * rows)

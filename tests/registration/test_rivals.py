@@ -66,8 +66,9 @@ def _seam(folder: Path, left_px: float, right_px: float, settings: Settings) -> 
     return register_pair(reference, target, settings)
 
 
-def test_a_part_beyond_the_search_border_is_searched_for(tmp_path: Path) -> None:
-    result = _seam(tmp_path, 11.2, 13.4, FEW)
+@pytest.mark.parametrize("settings", [FEW, Settings()])
+def test_a_part_beyond_the_search_border_is_searched_for(tmp_path: Path, settings: Settings) -> None:
+    result = _seam(tmp_path, 11.2, 13.4, settings)
     points = result.tie_points[result.tie_points.status != "rejected"]
     col = points.predicted_px[:, 0]
     assert_allclose(np.median(points.displacement_px[col < 150, 0]), 11.2, atol=0.1)

@@ -104,6 +104,9 @@ def reach_all_ground(scene: SceneMatches, start: StartingAlignment, context: Sce
     middle_px = (scene.displacement_px + ground.shift_px) / 2
     between = start_at(start, middle_px, ground.distance_px, separately=False, parameters=by)
     if between is not None and may_move(context.settings):
+        if not scene.first_only:  # else fewer candidates might give fewer points of more ground
+            settings = replace(context.settings, features=context.settings.candidates)
+            context = replace(context, settings=settings)
         whole = match_scene(between, context)
         more = whole.consistent.sum() > consistent.sum()
         if whole.decision.accepted and len(whole.motions) < 2 and more:
