@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 
 from pcwlad_geo.execution.runner import InThisProcess
-from pcwlad_geo.matching.types import TiePoints
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration.assessment import fit_pair
 from pcwlad_geo.registration.edge_sides import shared_errors
