@@ -21,7 +21,7 @@ from pcwlad_geo.multi.qa.numbers import QaNumbers
 from pcwlad_geo.multi.stack.numbers import StackNumbers
 from pcwlad_geo.multi.watch.numbers import WatchNumbers
 from pcwlad_geo.options import OPTIONS, Settings
-from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster import RpcModel
 from pcwlad_geo.registration import Prealignment
 from pcwlad_geo.report import content
 

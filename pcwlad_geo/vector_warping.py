@@ -20,7 +20,7 @@ from pcwlad_geo.correction.vertices import densify
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.events import EventCallback, Progress, Warned
 from pcwlad_geo.outputs.folder import place_file, stage_inside
-from pcwlad_geo.raster.crs import WGS84, transform_xy
+from pcwlad_geo.raster import WGS84, transform_xy
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
 from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers
 from pcwlad_geo.report.finished import FinishedRegistration

@@ -11,7 +11,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid
 from tests.scenes import make_grid, render
 
 LANDSAT = "LC08_L1TP_198030_20200809_20200918_02_T1"

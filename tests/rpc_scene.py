@@ -15,12 +15,10 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.rpc import RPC
 
-from pcwlad_geo.raster.crs import WGS84, transform_xy
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.rpc.dem import Dem, Undulation
+from pcwlad_geo.raster import WGS84, Dem, Grid, RpcGrid, RpcModel, transform_xy
+from pcwlad_geo.raster.rpc.dem import Undulation
 from pcwlad_geo.raster.rpc.files import to_gdal
-from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.model import TERMS, RpcModel, polynomial_terms
+from pcwlad_geo.raster.rpc.model import TERMS, polynomial_terms
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, PIXEL_M, make_grid, render, write
 
 Array = NDArray[np.float64]

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid, transform_xy
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]

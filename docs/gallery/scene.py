@@ -33,12 +33,10 @@ sys.path.insert(0, str(SAMPLE))
 
 from landscape import ground  # noqa: E402
 
-from pcwlad_geo.raster.crs import transform_xy  # noqa: E402
+from pcwlad_geo.raster import WGS84, RpcGrid, RpcModel, transform_xy  # noqa: E402
 from pcwlad_geo.raster.gdal import ignoring  # noqa: E402
-from pcwlad_geo.raster.rpc.dem import WGS84, open_dem  # noqa: E402
+from pcwlad_geo.raster.rpc.dem import open_dem  # noqa: E402
 from pcwlad_geo.raster.rpc.files import to_gdal  # noqa: E402
-from pcwlad_geo.raster.rpc.grid import RpcGrid  # noqa: E402
-from pcwlad_geo.raster.rpc.model import RpcModel  # noqa: E402
 
 ORANGE, BLUE = "#ff7a00", "#1769aa"
 UTM: Final = CRS.from_epsg(32633)

@@ -17,9 +17,7 @@ from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.execution.workers import available_cores, open_runner
 from pcwlad_geo.outputs.folder import lock_folder, place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.raster.file_tree import plain_name
-from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
+from pcwlad_geo.raster import Trust, open_raster, plain_name, trusting
 from pcwlad_geo.rigs.applying import CaptureOutcome, correct_capture
 from pcwlad_geo.rigs.capture_raster import CAPTURE_TAG, CaptureTask
 from pcwlad_geo.rigs.captures import Capture, find_frames, group

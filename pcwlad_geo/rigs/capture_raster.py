@@ -12,8 +12,8 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
+from pcwlad_geo.raster import open_raster
 from pcwlad_geo.raster.gdal import ignoring, reading
-from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.stored_pixels import check_dataset
 from pcwlad_geo.rigs.captures import Capture, Frame
 from pcwlad_geo.rigs.placing import Placement

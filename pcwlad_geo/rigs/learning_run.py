@@ -18,7 +18,7 @@ from pcwlad_geo.execution.workers import open_runner
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
+from pcwlad_geo.raster import Trust, trusting
 from pcwlad_geo.rigs.applying import doubt_of, try_capture
 from pcwlad_geo.rigs.captures import Capture, find_frames, group
 from pcwlad_geo.rigs.initial_poses import evenly

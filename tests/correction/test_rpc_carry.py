@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.raster import RpcModel
 from pcwlad_geo.raster.rpc.bias import apply_bias, carried, covered_range, parallax
-from pcwlad_geo.raster.rpc.model import RpcModel
 from tests.rpc_scene import SHAPE, decimated, make_rpc, oblique_rpc, of_a_product
 
 HEIGHTS_M = (100.0, 700.0)

@@ -51,7 +51,7 @@ def test_the_error_is_that_of_the_worst_place() -> None:
 
 
 def test_on_the_real_rpc(shared_data: Path) -> None:
-    from pcwlad_geo.raster.rpc.files import read_rpc
+    from pcwlad_geo.raster import read_rpc
 
     source = read_rpc(str(shared_data / "rpc/qb2_basic1b.tif"))
     assert source is not None
@@ -80,7 +80,7 @@ def test_a_part_of_a_product_is_folded_over_the_part() -> None:
 
 
 def test_on_real_parts_of_products(shared_data: Path) -> None:
-    from pcwlad_geo.raster.rpc.files import read_rpc
+    from pcwlad_geo.raster import read_rpc
 
     affine = correction([[1.0003, 1e-3, 3], [-1e-3, 0.9998, -4]])
     for name in ("img_01", "img_02"):

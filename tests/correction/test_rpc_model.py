@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 
-from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
-from pcwlad_geo.raster.rpc.model import RpcModel, derived_terms, polynomial_terms
+from pcwlad_geo.raster import RpcModel, read_rpc
+from pcwlad_geo.raster.rpc.files import to_gdal
+from pcwlad_geo.raster.rpc.model import derived_terms, polynomial_terms
 from tests.rpc_scene import SHAPE, make_rpc
 
 TOLERANCE_PX = 1e-6

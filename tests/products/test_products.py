@@ -12,8 +12,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.finding import find_product, native_px_m, of_one_product, stem_of
 from pcwlad_geo.products.names import rasters_of
 from pcwlad_geo.products.product import Product
-from pcwlad_geo.raster.file_tree import file_name
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe, file_name
 from tests.product_files import (
     BEFORE_COLLECTIONS,
     COLLECTION_1,

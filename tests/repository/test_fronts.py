@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -40,35 +41,73 @@ STILL_INNER = {
         JudgeParameters PairParameters ProofParameters SceneParameters fit_correction height_errors moves_of
         plan read_overviews set_up
     """,
+    "raster": """
+        BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera DataArrayLike GDAL_ERRORS LIBRARY_ERRORS
+        MATCHING_GRIDS MM_PER_UNIT ONLY_PIXELS OUTPUT_GRIDS PLACEMENT Raster RasterLike SQLITE_HEAD Scratch
+        TERMS TiltedGrid Undulation VectorLayer Vertical accepted apply apply_bias apply_inverse bands_of
+        bias_error_px camera_of carried check_covered check_dataset check_format checked_vector composed
+        corrected_outline corrected_transform covered_range current_trust derived_terms digest
+        displacement_m exif_of expected_scale explained file_of files_of gcps_only geotransform_of
+        grid_on_plane_of ground_grid guessed_scale has_quick_overview ignoring image_px is_archive
+        is_dataset is_huge is_invertible is_quality_raster like_the_source limited limited_to_overlap
+        linear_part lon_lat_bounds lon_lat_outline metres_between moved_xy name_in name_of number_of
+        open_dem open_written_raster ortho ortho_grid orthorectify output_grid output_lattice parallax
+        parse_rpc_text pixel_size_m place_by_rpc plain_uri plan_rpc_views polynomial_terms read_layers
+        read_raster reading referred relief requested_ortho_grids root_cause same same_band scratch_folder
+        share_plane sink small_block_cache source sqlite_file to_gdal to_raster tree_of utm_zone_of
+        verify_output view vrt warping with_areas with_bands with_compression_blocks with_height_offset
+        without_shared_fill without_undeclared write_cog write_corrected_vrt write_rpc_text write_rpc_vrt
+        xmp_of
+    """,
 }
 """Names of inner modules that code outside uses: for scenes and tiles, the initial alignment, perspective
 images, rigs, reports, stacks, and tests and benchmarks of parts. The lists may only become shorter."""
-MOST_INNER = {"matching": 87, "registration": 27}
-MOST_FRONT = {"matching": 15, "registration": 35}
+MOST_INNER = {"matching": 87, "registration": 27, "raster": 119}
+MOST_FRONT = {"matching": 15, "registration": 35, "raster": 40}
 OF_THE_ROOM = {
     "matching": ("pcwlad_geo/matching", "tests/matching", "tests/oracles"),
     "registration": ("pcwlad_geo/registration", "tests/registration"),
+    "raster": ("pcwlad_geo/raster", "tests/raster"),
 }
+LATER: dict[str, tuple[str, ...]] = {
+    "raster": (
+        *("pcwlad_geo/api.py", "pcwlad_geo/band_warping.py", "pcwlad_geo/cli", "pcwlad_geo/job"),
+        *("pcwlad_geo/options.py", "pcwlad_geo/outputs", "pcwlad_geo/report", "pcwlad_geo/multi"),
+        *("pcwlad_geo/registration", "tests/job", "tests/outputs", "tests/report", "tests/multi"),
+        *("tests/registration", "tests/common", "tests/registrations.py", "benchmarks"),
+    )
+}
+"""These import names of the front from inner modules, too."""
 
 
-def front_of(room: str) -> set[str]:
+@cache
+def front_of(room: str) -> frozenset[str]:
     tree = ast.parse((REPOSITORY / "pcwlad_geo" / room / "__init__.pyi").read_text(encoding="utf-8"))
-    return {alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    return frozenset(
+        alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    )
+
+
+@cache
+def imports() -> list[tuple[str, str, frozenset[str]]]:
+    """Return the files that import names from modules of this package, the modules and the names."""
+    paths = [path for folder in USERS for path in (REPOSITORY / folder).rglob("*.py")]
+    return [
+        (path.relative_to(REPOSITORY).as_posix(), node.module, frozenset(alias.name for alias in node.names))
+        for path in paths
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("pcwlad_geo.")
+    ]
 
 
 def inner_uses(room: str) -> Iterator[tuple[str, str]]:
     """Yield the files outside of a room and the names that they import from its inner modules."""
-    for path in (path for folder in USERS for path in (REPOSITORY / folder).rglob("*.py")):
-        file, text = path.relative_to(REPOSITORY).as_posix(), path.read_text(encoding="utf-8")
-        if file.startswith(OF_THE_ROOM[room]) or f"pcwlad_geo.{room}" not in text:
+    for file, module, names in imports():
+        if file.startswith(OF_THE_ROOM[room]):
             continue
-        for node in ast.walk(ast.parse(text)):
-            module = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
-            names = {alias.name for alias in node.names} if isinstance(node, ast.ImportFrom) else set()
-            if module == f"pcwlad_geo.{room}":
-                names -= front_of(room)
-            elif not module.startswith(f"pcwlad_geo.{room}."):
-                continue
+        if module == f"pcwlad_geo.{room}":
+            yield from ((file, name) for name in names - front_of(room))
+        elif module.startswith(f"pcwlad_geo.{room}."):
             yield from ((file, name) for name in names)
 
 
@@ -76,7 +115,9 @@ def inner_uses(room: str) -> Iterator[tuple[str, str]]:
 def test_code_outside_uses_the_front_of_a_room(room: str) -> None:
     front, inner = front_of(room), set(STILL_INNER[room].split())
     uses = sorted(inner_uses(room))
-    assert [(file, name) for file, name in uses if name in front] == []
+    assert [
+        (file, name) for file, name in uses if name in front and not file.startswith(LATER.get(room, ()))
+    ] == []
     assert [(file, name) for file, name in uses if name not in front | inner] == [], "use the front"
 
 
