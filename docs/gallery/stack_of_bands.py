@@ -26,7 +26,7 @@ for one in range(count):
         apart[one, other] = np.hypot(*(shifts[1] - shifts[0]))
         sigma[one, other] = np.sqrt(np.trace(bands.adjustment.covariance(one, middle, other)[0]) / 2)
 
-figure, axes = panels(["distance of two bands, px", "sigma of the distance along an axis, px"], height=4.0)
+figure, axes = panels(["distance of two bands, px", "its sigma along an axis, px"], height=4.0)
 for axis, values in zip(axes, (apart, sigma), strict=True):
     axis.imshow(values, cmap="Oranges", vmax=1.6 * values.max())
     for (row, col), value in np.ndenumerate(values):
