@@ -193,8 +193,8 @@ class Settings:
     method: Method = option("oriented", "Fine matching method.", _MATCHING)
     points: int | Literal["all", "dense"] | None = option(
         None,
-        "Tie points to keep at most, spread evenly; auto: about 1000 of a scene, of a small image as many as "
-        "its ground tells; dense: one in every square of a quarter of a window that has structure.",
+        "Tie points to keep at most, spread evenly; auto: about 1000 of a large scene, all of a small image; "
+        "dense: one in every square of a quarter of a window that has structure.",
         _MATCHING,
         metavar="N|all|dense|auto",
         none_word="auto",

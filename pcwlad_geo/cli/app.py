@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
-from typer.core import TyperGroup
 
 import pcwlad_geo
 from pcwlad_geo.cli import options as o
@@ -23,6 +21,7 @@ from pcwlad_geo.cli.prove import prove_pair
 from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.rig import rig
 from pcwlad_geo.cli.running import Ending, run_guarded
+from pcwlad_geo.cli.sections import AFTER, MANY, PAIR, Command, Commands
 from pcwlad_geo.cli.stack import stack
 from pcwlad_geo.cli.warp import warp
 from pcwlad_geo.cli.watch import watch
@@ -30,12 +29,6 @@ from pcwlad_geo.correction import Effort
 from pcwlad_geo.errors import InputError, PcwladGeoError
 from pcwlad_geo.events import EventCallback
 
-PAIR: Final = "One pair"
-"""Title of the commands for one pair, in the help."""
-MANY: Final = "Many images"
-"""Title of the commands for many images."""
-AFTER: Final = "After a registration"
-"""Title of the commands for a finished registration."""
 HELP_EXAMPLES: Final = o.examples(
     "demo",
     "register red.tif thermal.tif -o registered",
@@ -57,22 +50,6 @@ PROTOCOL: Final = 1
 """Number of the conversation with programs, JSON lines and ``edit``: programs of another cannot follow it."""
 
 
-class Commands(TyperGroup):
-    """The commands, listed in groups."""
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # of typer's own click
-        """Write the commands, a section for each group: of the help of each what stands before details."""
-        width = max(map(len, self.commands))
-        for title in (PAIR, MANY, AFTER):
-            lines = [
-                (name.ljust(width), f"{re.split('[:;.]', command.help or '')[0]}.")
-                for name, command in self.commands.items()
-                if getattr(command, "rich_help_panel", "") == title and not command.hidden
-            ]
-            with formatter.section(title):
-                formatter.write_dl(lines)
-
-
 app = typer.Typer(
     name="pcwlad-geo",
     cls=Commands,
@@ -83,6 +60,7 @@ app = typer.Typer(
 
 
 @app.command(
+    cls=Command,
     rich_help_panel=PAIR,
     epilog=o.examples(
         "register red.tif thermal.tif",
@@ -108,6 +86,7 @@ def register(
 
 
 @app.command(
+    cls=Command,
     rich_help_panel=PAIR,
     epilog=o.examples("match red.tif thermal.tif -o matched", "match red.tif thermal.tif --points all"),
 )
@@ -136,6 +115,7 @@ EffortOption = Annotated[
 
 
 @app.command(
+    cls=Command,
     rich_help_panel=PAIR,
     epilog=o.examples("prove red.tif thermal.tif", "prove red.tif thermal.tif --effort full -o proof"),
 )
@@ -155,7 +135,7 @@ def prove(
 DemoFolder = Annotated[Path, o.argument("FOLDER", "Folder to write into.  [default: pcwlad-geo-demo]")]
 
 
-@app.command(rich_help_panel=PAIR, epilog=o.examples("demo", "demo sample --overwrite"))
+@app.command(cls=Command, rich_help_panel=PAIR, epilog=o.examples("demo", "demo sample --overwrite"))
 @o.takes_settings("demo")
 def demo(context: typer.Context, folder: DemoFolder = Path("pcwlad-geo-demo")) -> None:
     """Write a small synthetic pair into FOLDER, and register it: no data of your own are needed."""
@@ -198,7 +178,7 @@ for command, panel, lines in (
         ),
     ),
 ):
-    app.command(rich_help_panel=panel, epilog=o.examples(*lines))(command)
+    app.command(cls=Command, rich_help_panel=panel, epilog=o.examples(*lines))(command)
 app.add_typer(rig, name="rig", rich_help_panel=MANY)
 app.command(hidden=True)(edit)  # a conversation between programs
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
+from pcwlad_geo.cli.sections import RUNNING, section_of_options
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.option_text import to_setting
@@ -91,6 +92,7 @@ ProgressStyle = Literal["auto", "bar", "json", "none"]
 _KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
 _DEFAULTS = {field.name: field.default for field in fields(Settings)}
 _HINTS = get_type_hints(Settings)
+_SECTIONS = section_of_options()
 
 Reference = Annotated[str, argument("REFERENCE", "Raster that stays, or a product.")]
 Target = Annotated[str, argument("TARGET", "Raster that moves, or a product.")]
@@ -134,7 +136,9 @@ def _annotation(name: str, option: Option) -> object:
     if text is not None and text is not False and text != ():
         help_text += f"  [default: {text}]"
     flag = "--" + name.replace("_", "-")
-    how = typer.Option(flag, help=help_text, metavar=option.metavar, show_default=False)
+    how = typer.Option(
+        flag, help=help_text, metavar=option.metavar, show_default=False, rich_help_panel=_SECTIONS[name]
+    )
     return Annotated[_type_of(name, option) | None, how]
 
 
@@ -150,26 +154,57 @@ def _type_of(name: str, option: Option) -> Any:  # noqa: ANN401  # of any type
     return kinds[0] if simple else str
 
 
-OutDir = Annotated[Path | None, option("-o", "--out-dir", help="Output folder.", metavar="OUT_DIR")]
-OutputRaster = Annotated[Path | None, option(help="Registered raster, here instead.", metavar="FILE")]
-OutputTiepoints = Annotated[Path | None, option(help="Tie points CSV, here instead.", metavar="FILE")]
-OutputReport = Annotated[Path | None, option(help="Report page, here instead.", metavar="FILE")]
-OutputPoints = Annotated[Path | None, option(help="QGIS Georeferencer points, here instead.", metavar="FILE")]
-Overwrite = Annotated[bool, option("--overwrite", help="Replace the results of an earlier run in OUT_DIR.")]
+OutDir = Annotated[
+    Path | None,
+    option(
+        "-o",
+        "--out-dir",
+        help="Output folder.  [default: named after the input, in the working folder]",
+        metavar="OUT_DIR",
+    ),
+]
+OutputRaster = Annotated[
+    Path | None, option(help="Write the registered raster to this file.", metavar="FILE")
+]
+OutputTiepoints = Annotated[
+    Path | None, option(help="Write the CSV of the tie points to this file.", metavar="FILE")
+]
+OutputReport = Annotated[Path | None, option(help="Write the report page to this file.", metavar="FILE")]
+OutputPoints = Annotated[
+    Path | None, option(help="Write the points for the QGIS Georeferencer to this file.", metavar="FILE")
+]
+Overwrite = Annotated[
+    bool,
+    option("--overwrite", help="Replace the results of an earlier run in OUT_DIR.", rich_help_panel=RUNNING),
+]
 ProgressOption = Annotated[
     ProgressStyle,
     option(
         "--progress",
         help="auto: a bar on a terminal; json: one object a line on standard output.",
         show_default=True,
+        rich_help_panel=RUNNING,
     ),
 ]
-WatchStdin = Annotated[bool, option("--watch-stdin", help="Cancel the run when standard input ends.")]
+WatchStdin = Annotated[
+    bool, option("--watch-stdin", help="Cancel the run when standard input ends.", rich_help_panel=RUNNING)
+]
 Config = Annotated[
-    Path | None, option("--config", help="Options by name; the command line wins.", metavar="FILE.toml")
+    Path | None,
+    option(
+        "--config",
+        help="Options by name; the command line wins.",
+        metavar="FILE.toml",
+        rich_help_panel=RUNNING,
+    ),
 ]
 Debug = Annotated[
-    bool, option("--debug", help="Show the traceback of an error, and what libraries write meanwhile.")
+    bool,
+    option(
+        "--debug",
+        help="Show the traceback of an error, and what libraries write meanwhile.",
+        rich_help_panel=RUNNING,
+    ),
 ]
 RUN_OPTIONS = [
     inspect.Parameter(name, _KIND, default=default, annotation=annotation)

@@ -42,7 +42,7 @@ def proof_text(proof: Proof) -> str:
         lines.append(f"correction ({fit.model}): RMSE {fit.rmse_px:.4f} px, CE90 {fit.ce90_px:.4f} px")
     lines += [
         f"within sigma {100 * proof.sigma.within_68:.0f} % (68 is right), within 1.96 sigma "
-        f"{100 * proof.sigma.within_95:.0f} % (95); the sigmas hold times {proof.sigma.factor:.2f}",
+        f"{100 * proof.sigma.within_95:.0f} % (95); right sigmas are {proof.sigma.factor:.2f} times as large",
         f"wrong matches that passed every test: {proof.false_matches} of "
         f"{proof.matches + proof.false_matches}; lost: {proof.lost}",
     ]

@@ -13,6 +13,7 @@ from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.batch import STATUS_OF
 from pcwlad_geo.cli.options import collect
 from pcwlad_geo.cli.running import Ending, run_guarded
+from pcwlad_geo.cli.sections import Command
 from pcwlad_geo.cli.tables import columns
 from pcwlad_geo.errors import OutputError
 from pcwlad_geo.events import EventCallback
@@ -52,6 +53,7 @@ LENS_COLUMNS = ("lens", "focal px", "moved px", "sigma px", "calibration off px"
 
 @rig.command(
     "learn",
+    cls=Command,
     short_help="Learn the lenses from a few captures in flight.",
     epilog=o.examples("rig learn captures/ -o RIG.json"),
 )
@@ -69,6 +71,7 @@ def learn(
 
 @rig.command(
     "apply",
+    cls=Command,
     short_help="Make one raster of each capture, its bands on each other.",
     epilog=o.examples("rig apply RIG.json captures/ -o aligned"),
 )

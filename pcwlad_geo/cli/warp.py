@@ -37,7 +37,7 @@ Place = Annotated[
 ]
 WarpedRaster = Annotated[
     Path | None,
-    o.option("--output-raster", help="The warped raster, of one RASTER, here instead.", metavar="FILE"),
+    o.option("--output-raster", help="Write the warped raster, of one RASTER, to this file.", metavar="FILE"),
 ]
 Inverse = Annotated[
     bool, o.option("--inverse", help="Move vectors from where they belong to where the target draws them.")
@@ -61,7 +61,7 @@ def warp(
     output_raster: WarpedRaster = None,
     debug: o.Debug = False,
 ) -> None:
-    """Apply the correction of REGISTRATION to other bands of its target, and to vectors drawn on it."""
+    """Correct other bands of the target of REGISTRATION, and its vectors."""
     options = {
         name: context.params[name] for name in ("grid", "like", "tr", "te", "t_srs", "of", "co", "resampling")
     }

@@ -40,10 +40,11 @@ def observability_sentence(proof: Proof) -> str:
     """Return the sentence that tells which errors the proof observes, and which none can."""
     unobservable = proof.unobservable
     return (
-        "Observed, by moving the target: pixel locking, interpolation and noise, which these figures are of. "
-        "Not observable: structure that lies elsewhere in the other band; halves of the evidence differ by "
-        f"{unobservable.at_least_px:.3f} px or more in it (a lower bound, not the error), and up to "
-        f"{unobservable.up_to_px:.2f} px have to be allowed for unless a third band closes a triangle."
+        "These figures show pixel locking, interpolation and noise. They do not show edges that lie "
+        "elsewhere in the other band, such as shadows: allow up to "
+        f"{unobservable.up_to_px:.2f} px for them. Halves of the evidence differ by "
+        f"{unobservable.at_least_px:.3f} px or more, which is a lower bound. A third band shows more: the "
+        "triangle of the three must close."
     )
 
 
@@ -54,7 +55,7 @@ def proof_answers(proof: Proof, parameters: ProofAnswerParameters = PROOF_ANSWER
     if sigma.within_68 < parameters.least_within_sigma:
         text += f": they would have to be {sigma.factor:.1f} times as large."
     else:
-        text += ", which leaves room for what is not observable." if sigma.factor < 1 else "."
+        text += ", which leaves room for errors that no proof shows." if sigma.factor < 1 else "."
     false_share = proof.false_matches / max(proof.false_matches + proof.matches, 1)
     correction = proof.correction
     error = f"90 % of the points lie within {proof.ce90_px:.3f} px"
@@ -63,7 +64,8 @@ def proof_answers(proof: Proof, parameters: ProofAnswerParameters = PROOF_ANSWER
         Answer("How large is its own error?", error, _state(proof.ce90_px, GOOD_PX, FAIR_PX)),
         Answer(
             "Does it lock to whole pixels?",
-            f"By {locking:.3f} px, beside a scatter of {max(proof.scatter_px):.3f} px.",
+            f"Its errors follow the fraction of a pixel by {locking:.3f} px, and scatter by "
+            f"{max(proof.scatter_px):.3f} px.",
             _state(locking, LOCKING_PX, 5 * LOCKING_PX),
         ),
         Answer(
@@ -73,7 +75,7 @@ def proof_answers(proof: Proof, parameters: ProofAnswerParameters = PROOF_ANSWER
         ),
         Answer(
             "Do wrong matches get through?",
-            f"{proof.false_matches} of {proof.false_matches + proof.matches}, with every test passed.",
+            f"{proof.false_matches} of {proof.false_matches + proof.matches} passed every test.",
             _state(false_share, parameters.most_false_share, 10 * parameters.most_false_share),
         ),
         *_answer_of_blind_spot(correction),

@@ -98,10 +98,10 @@ def words(page: str) -> str:
 def test_the_page_tells_the_error_and_what_no_image_tells() -> None:
     text = words(proof_page(make_registration(), PROOF))
     assert "On this pair the matching itself errs by 0.045 px" in text
-    assert "By 0.018 px" in text
-    assert "1 of 17, with every test passed" in text
-    assert "0.010 px or more in it (a lower bound, not the error)" in text
-    assert "up to 0.10 px have to be allowed for" in text
+    assert "fraction of a pixel by 0.018 px" in text
+    assert "1 of 17 passed every test" in text
+    assert "0.010 px or more, which is a lower bound" in text
+    assert "allow up to 0.10 px for them" in text
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_the_page_tells_the_error_and_what_no_image_tells() -> None:
             SigmaEntry(0.41, 0.7, 2.04, 2.04),
             "41 % of the errors lie within sigma (68 is right): they would have",
         ),
-        (SigmaEntry(1.0, 1.0, 0.2, 1.0), "leaves room for what is not observable"),
+        (SigmaEntry(1.0, 1.0, 0.2, 1.0), "leaves room for errors that no proof shows"),
     ],
 )
 def test_sigmas_are_called_too_small_but_never_too_large(sigma: SigmaEntry, says: str) -> None:
