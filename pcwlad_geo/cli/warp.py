@@ -61,7 +61,7 @@ def warp(
     output_raster: WarpedRaster = None,
     debug: o.Debug = False,
 ) -> None:
-    """Correct other bands of the target of REGISTRATION, and its vectors."""
+    """Correct other bands and vectors by a finished REGISTRATION."""
     options = {
         name: context.params[name] for name in ("grid", "like", "tr", "te", "t_srs", "of", "co", "resampling")
     }
