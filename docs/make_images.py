@@ -105,21 +105,21 @@ PIPELINE = (
 PIPELINE_ARROWS = ((0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 7), (7, 8), (8, 9), (6, 10), (8, 11))
 
 TYPES = (
-    Box(0, 3, "PairOptions", "options\nvalues, checked", GREY, width=1.8),
-    Box(2.2, 3, "Pair", "registration/result\ntwo files, one grid", GREY, width=1.8),
-    Box(4.4, 3, "StartingAlignment", "registration/starts/alignment\nshift or pose", width=1.98),
-    Box(6.6, 3, "TileJob", "registration/tiles\nfile names, windows", width=1.8),
-    Box(8.8, 3, "Candidates", "matching/keypoints\ncorners", width=1.8),
-    Box(8.8, 1.5, "CoarseMatches", "matching/coarse\nwhole pixels", width=1.8),
-    Box(6.6, 1.5, "Refined", "matching/refinement\nshift, covariance", width=1.8),
-    Box(4.4, 1.5, "TiePoints", "matching/types\nof a tile, then of all", width=1.8),
-    Box(2.2, 1.5, "Decision", "registration/decision\nmore than chance?", ORANGE, width=1.8),
-    Box(0, 1.5, "SceneMatches", "registration/scene/matching\npoints and sigmas", width=1.8),
-    Box(0, 0, "TiePointTable", "tiepoints/table\nrows with a status", GREEN, width=1.8),
-    Box(2.2, 0, "Matches", "registration/result\ntable and verdict", GREEN, width=1.8),
-    Box(4.4, 0, "AssessedFit", "registration/fitting\nresiduals, grade", GREEN, width=1.8),
-    Box(6.6, 0, "Registration", "registration/result\ncorrection, warnings", GREEN, width=1.8),
-    Box(8.8, 0, "tiepoints.csv", "outputs/write\nwith report.json", GREEN, width=1.8),
+    Box(0, 3, "PairOptions", "options\nvalues, checked", GREY, width=1.95),
+    Box(2.2, 3, "Pair", "registration/result\ntwo files, one grid", GREY, width=1.95),
+    Box(4.4, 3, "StartingAlignment", "registration/starts/alignment\nshift or pose", width=1.958),
+    Box(6.6, 3, "TileJob", "registration/tiles\nfile names, windows", width=1.95),
+    Box(8.8, 3, "Candidates", "matching/keypoints\ncorners", width=1.95),
+    Box(8.8, 1.5, "CoarseMatches", "matching/coarse\nwhole pixels", width=1.95),
+    Box(6.6, 1.5, "Refined", "matching/refinement\nshift, covariance", width=1.95),
+    Box(4.4, 1.5, "TiePoints", "matching/types\nof a tile, then of all", width=1.95),
+    Box(2.2, 1.5, "Decision", "registration/decision\nmore than chance?", ORANGE, width=1.95),
+    Box(0, 1.5, "SceneMatches", "registration/scene/matching\npoints and sigmas", width=1.95),
+    Box(0, 0, "TiePointTable", "tiepoints/table\nrows with a status", GREEN, width=1.95),
+    Box(2.2, 0, "Matches", "registration/result\ntable and verdict", GREEN, width=1.95),
+    Box(4.4, 0, "AssessedFit", "registration/fitting\nresiduals, grade", GREEN, width=1.95),
+    Box(6.6, 0, "Registration", "registration/result\ncorrection, warnings", GREEN, width=1.95),
+    Box(8.8, 0, "tiepoints.csv", "outputs/write\nwith report.json", GREEN, width=1.95),
 )
 """The types of a tie point, each with its module."""
 
@@ -185,7 +185,7 @@ def draw_box(axes: Axes, box: Box) -> None:
         box.lines,
         ha="center",
         va="top",
-        fontsize=FONT_SIZE - 1.5,
+        fontsize=FONT_SIZE - 2,
         color="0.2",
     )
 
@@ -290,7 +290,8 @@ def verdict() -> Figure:
         limit = SEARCH_PX + 1
         axis.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
         axis.set(xlabel="displacement along columns, px", ylabel="along rows, px")
-        axis.legend(loc="lower left", fontsize=FONT_SIZE - 1)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=FONT_SIZE)
     return figure
 
 
