@@ -119,7 +119,7 @@ TYPES = (
     Box(2.2, 0, "Matches", "registration/result\ntable and verdict", GREEN, width=1.95),
     Box(4.4, 0, "AssessedFit", "registration/fitting\nresiduals, grade", GREEN, width=1.95),
     Box(6.6, 0, "Registration", "registration/result\ncorrection, warnings", GREEN, width=1.95),
-    Box(8.8, 0, "tiepoints.csv", "outputs/write\nwith report.json", GREEN, width=1.95),
+    Box(8.8, 0, "tiepoints.csv", "outputs/files\nwith report.json", GREEN, width=1.95),
 )
 """The types of a tie point, each with its module."""
 
