@@ -353,7 +353,7 @@ def write_pair(
             if registration is None:
                 registration = _run(job, executor, on_event if settings.no_report else _preloading(on_event))
             # inside: slow to load, which `_preloading` may have done
-            from pcwlad_geo.report.statistics import judge_requirements
+            from pcwlad_geo.pair_requirements import judge_requirements
 
             judged = judge_requirements(registration, requirements)
             registration = replace(registration, decision=replace(registration.decision, requirements=judged))

@@ -163,7 +163,7 @@ class RequirementResult:
 
 def judge(requirement: Requirement, figure: Figure) -> RequirementResult:
     """Compare a figure with a requirement: one of errors or sigmas, if it is met, carries the doubt."""
-    doubtful = figure.doubt and tells_accuracy(requirement) and requirement.is_met(figure.value)
+    doubtful = figure.doubt and _tells_accuracy(requirement) and requirement.is_met(figure.value)
     return RequirementResult(requirement, figure.value, figure.reason, figure.doubt if doubtful else None)
 
 
@@ -172,7 +172,7 @@ def all_met(results: Sequence[RequirementResult]) -> bool | None:
     return all(result.met for result in results) if results else None
 
 
-def tells_accuracy(requirement: Requirement) -> bool:
+def _tells_accuracy(requirement: Requirement) -> bool:
     """Return whether a requirement limits errors or sigmas, which hold where the tie points are."""
     quantity = _QUANTITIES[requirement.statistic.casefold()]
     return quantity.kind == "error" or quantity.name == "sigma"

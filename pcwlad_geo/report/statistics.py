@@ -1,9 +1,8 @@
-"""Statistics of a registration: errors, predicted sigma, coverage, and what they are required to be."""
+"""Statistics of a registration: errors, predicted sigma and coverage."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -20,8 +19,6 @@ from pcwlad_geo.products.finding import native_per_px, native_px_m
 from pcwlad_geo.raster import Dem, RasterInfo, at_mean_height, file_name, pixel_sizes_m
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration.match_record import GROUND, MatchRecord
-from pcwlad_geo.report.json_content import PX_DIGITS, SHARE_DIGITS
-from pcwlad_geo.requirements import Requirement, RequirementResult, tells_accuracy, value_of
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
@@ -254,18 +251,6 @@ def _share(mask: Bool, squares: tuple[int, int]) -> Float64:
     return np.array([[part.mean() if part.size else 1.0 for part in row] for row in parts])
 
 
-NO_CHECK_POINTS: Final = "there are too few tie points to keep some out of the fit as check points"
-"""Reason why the accuracy at check points is not known."""
-CHOSEN: Final = "the points of the fit were chosen, perhaps by their residuals"
-"""Reason why the residuals of a fit say nothing."""
-OF_UNKNOWN_ORIGIN: Final = "nothing tells whether the points of the file were chosen by their residuals"
-"""Reason why errors at points of a file are not known."""
-NO_METRES: Final = "metres are not known without a CRS"
-"""Reason why a length in metres is not known."""
-NO_NATIVE_PX: Final = "the native pixel is not known: the file names do not tell it"
-"""Reason why a length in native pixels is not known."""
-
-
 def heights_m(registration: Registration, predicted_px: Float64) -> Float64 | None:
     """Return (n,) heights of the ground, m, at the (n, 2) `predicted_px`; None without an elevation model."""
     rpc = registration.rpc
@@ -275,77 +260,3 @@ def heights_m(registration: Registration, predicted_px: Float64) -> Float64 | No
         return rpc.original.heights.at(rpc.original.to_xy(predicted_px))
     except InputError:  # the page can do without heights
         return None
-
-
-def judge_requirements(
-    registration: Registration, requirements: Sequence[Requirement]
-) -> tuple[RequirementResult, ...]:
-    """Compare a finished job with the requirements for its command; a rejected one meets none."""
-    return tuple(_judge(registration, requirement) for requirement in requirements)
-
-
-def _judge(registration: Registration, requirement: Requirement) -> RequirementResult:
-    if registration.status == "rejected":
-        return RequirementResult(requirement, None, "the pair was refused")
-    if requirement.unit is not None:
-        found = _length(registration, requirement)
-        value, reason = (None, found) if isinstance(found, str) else (round(found, PX_DIGITS), None)
-        caveat = _caveat(registration, requirement) if requirement.is_met(value) else None
-        return RequirementResult(requirement, value, reason, caveat)
-    figure = _figure(registration, requirement.statistic)
-    return RequirementResult(requirement, figure, None if figure is not None else "it is not known")
-
-
-def _caveat(registration: Registration, requirement: Requirement) -> str | None:
-    """Return what contradicts accurate tie points: the grade of the ground; None where that is good."""
-    quality = registration.quality
-    if quality is None or quality.grade == "good" or not tells_accuracy(requirement):
-        return None
-    return (
-        f"but the registration is {quality.grade}, and 90 % of the ground is expected to lie within "
-        f"{quality.expected_ce90_px:.2f} px"
-    )
-
-
-def _chosen(registration: Registration, requirement: Requirement) -> str:
-    """Return why points of a file do not tell a length; empty where they do."""
-    origin = registration.origin
-    if origin is None or requirement.statistic == "displacement":
-        return ""
-    if origin.folder is None:
-        return OF_UNKNOWN_ORIGIN
-    return CHOSEN if requirement.group == "fit" and origin.left_out else ""
-
-
-def _figure(registration: Registration, name: str) -> float | str | None:
-    """Return a dimensionless figure, or the reason why it is not known."""
-    table = registration.tie_points
-    if name == "points":
-        return len(table.select(*KEPT))
-    if name == "coverage":
-        empty = coverage_of(table, registration.reference.grid.shape, registration.record).empty_share
-        return round(1.0 - empty, SHARE_DIGITS)
-    if name == "model":
-        return registration.correction.name.rstrip("23") if registration.correction else None
-    return registration.quality.grade if registration.quality else None
-
-
-def _length(registration: Registration, requirement: Requirement) -> float | str:
-    """Return a figure in its unit, of displacements or of residuals, or the reason why it is not known."""
-    name, unit = requirement.statistic, str(requirement.unit).replace(" ", "_")
-    unknown = _chosen(registration, requirement)
-    if unknown:
-        return unknown
-    of_all = name in ("displacement", "sigma")
-    group: PointGroup = "all" if of_all else requirement.group or "check"
-    by_unit = statistics_of(registration, "before" if of_all else "after", group, target_px_m(registration))
-    if by_unit["px"] is None:
-        return NO_CHECK_POINTS if group == "check" else "there are no tie points"
-    statistics = by_unit[unit]
-    if statistics is None:
-        return NO_METRES if unit == "m" else NO_NATIVE_PX
-    if name == "displacement":
-        return math.hypot(statistics.col.median, statistics.row.median)
-    if name == "sigma":
-        return max(statistics.net.noise_xy)
-    return value_of(requirement, statistics)

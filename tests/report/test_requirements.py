@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from pcwlad_geo.cli.pair import Outcome
+from pcwlad_geo.pair_requirements import judge_requirements
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.report import page
-from pcwlad_geo.report.statistics import judge_requirements
 from pcwlad_geo.report.summary import summarise
 from pcwlad_geo.requirements import Command, RequirementResult, parse_requirement
 from pcwlad_geo.text import plain
