@@ -45,9 +45,9 @@ def stack_text(result: QaResult) -> str:
 
 def outcome_of(result: QaResult) -> dict[str, object]:
     """Return the values of the result event."""
-    from pcwlad_geo.multi.qa.run import NAMES  # slow to load, unless there is a result
+    from pcwlad_geo.multi.qa.run import QA_FILES  # slow to load, unless there is a result
 
-    names = {kind: name for kind, name in NAMES.items() if kind != "pdf" or result.settings.pdf}
+    names = {kind: name for kind, name in QA_FILES.items() if kind != "pdf" or result.settings.pdf}
     return {
         "passed": result.passed,
         "pairs": len(result.pairs),

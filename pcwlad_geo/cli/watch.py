@@ -59,7 +59,7 @@ def watch(
 def _watch(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     settings = checked_options(params)
     requirements = settings.pop("require", None) or ()
-    from pcwlad_geo.multi.watch.page import NAMES
+    from pcwlad_geo.multi.watch.page import WATCH_FILES
     from pcwlad_geo.multi.watch.run import watch, watch_folder
     from pcwlad_geo.outputs.folder import check_output_folder
     from pcwlad_geo.requirements import parse_requirements
@@ -70,7 +70,7 @@ def _watch(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         from pcwlad_geo.multi.stack.adding import stack_add
 
         folder = watch_folder(params["stack"], params["out_dir"])
-        check_output_folder(folder, params["overwrite"], NAMES["numbers"])
+        check_output_folder(folder, params["overwrite"], WATCH_FILES["numbers"])
         added = stack_ending(stack_add(params["add"], params["stack"], on_event=on_event, **settings))
         status = 0 if added.exit_status == RequirementError.exit_status else added.exit_status
     return _watch_ending(
@@ -90,7 +90,7 @@ def _watch(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
 
 def _watch_ending(numbers: WatchNumbers, params: Mapping[str, Any], added: int) -> Ending:
     """Return the ending; its status is that of the image `added` where the requirements are met."""
-    from pcwlad_geo.multi.watch.page import NAMES, findings
+    from pcwlad_geo.multi.watch.page import WATCH_FILES, findings
     from pcwlad_geo.multi.watch.run import watch_folder
 
     folder = watch_folder(params["stack"], params["out_dir"])
@@ -102,7 +102,9 @@ def _watch_ending(numbers: WatchNumbers, params: Mapping[str, Any], added: int) 
         "corrected": numbers.corrected and asdict(numbers.corrected),
         "passed": numbers.passed,
         "paths": {
-            kind: str((folder / name).absolute()) for kind, name in NAMES.items() if name in numbers.outputs
+            kind: str((folder / name).absolute())
+            for kind, name in WATCH_FILES.items()
+            if name in numbers.outputs
         },
     }
     rows = [
@@ -118,7 +120,7 @@ def _watch_ending(numbers: WatchNumbers, params: Mapping[str, Any], added: int) 
         lines.append(
             f"on the grid of the stack: {on_grid} of its own in {numbers.stack}, {written} written here"
         )
-    lines.append(f"report: {folder / NAMES['report']}")
+    lines.append(f"report: {folder / WATCH_FILES['report']}")
     return Ending(figures, visible("\n".join(lines)) + "\n", status)
 
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     from pcwlad_geo.options import Options
 
-NAMES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html", "pdf": "qa.pdf"}
+QA_FILES: Final = {"numbers": "qa.json", "table": "qa.csv", "report": "qa.html", "pdf": "qa.pdf"}
 """File names of the outputs in OUT_DIR; the PDF on request."""
 NOT_HERE: Final = {
     **dict.fromkeys(("ref_band", "tgt_band"), "is for a single pair: give bands"),
@@ -141,7 +141,7 @@ def qa(
     if base is not None:
         planned = [(base, band) for band in stack if band.name != base.name]
     requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
-    folder = OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=NAMES["numbers"])
+    folder = OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=QA_FILES["numbers"])
     with trusting(settings.trust), folder:
         inputs = _identify(stack)
         pairs = _measure(planned, settings, on_event, executor)
@@ -282,12 +282,12 @@ def write_results(result: QaResult, folder: OutputFolder) -> None:
     from pcwlad_geo.multi.qa.page import qa_page
     from pcwlad_geo.report.json_content import to_json  # slow to load
 
-    kinds = [kind for kind in NAMES if kind != "pdf" or result.settings.pdf]
-    summary = summarise(result, sorted(NAMES[kind] for kind in kinds))
+    kinds = [kind for kind in QA_FILES if kind != "pdf" or result.settings.pdf]
+    summary = summarise(result, sorted(QA_FILES[kind] for kind in kinds))
     page = qa_page(summary)
     if "pdf" in kinds:
         from pcwlad_geo.report.pdf import to_pdf
 
-        folder.path(NAMES["pdf"]).write_bytes(to_pdf(page))
+        folder.path(QA_FILES["pdf"]).write_bytes(to_pdf(page))
     texts = {"table": to_csv(summary), "report": page, "numbers": to_json(summary)}
-    write_texts(folder, NAMES, texts)
+    write_texts(folder, QA_FILES, texts)

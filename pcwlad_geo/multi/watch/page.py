@@ -19,7 +19,12 @@ from pcwlad_geo.report.page_templates import page_environment, page_script
 from pcwlad_geo.report.time_lines import TimeLine, time_line_figure
 from pcwlad_geo.text import csv_of
 
-NAMES: Final = {"numbers": "watch.json", "table": "watch.csv", "report": "watch.html", "motion": "motion.tif"}
+WATCH_FILES: Final = {
+    "numbers": "watch.json",
+    "table": "watch.csv",
+    "report": "watch.html",
+    "motion": "motion.tif",
+}
 """File names of the outputs by kind."""
 WATCH_COLUMNS: Final = (
     *("name", "series", "date", "shift_col_px", "shift_row_px", "sigma_px"),
@@ -34,8 +39,8 @@ def write_results(out: OutputFolder, result: WatchNumbers, raster: MotionRaster 
     texts = {"table": csv_of(list(_rows(result))), "report": _page(result, raster), "numbers": text}
     with out.writing():
         if raster is not None:
-            write_motion(raster, out.path(NAMES["motion"]))
-        write_texts(out, NAMES, texts)
+            write_motion(raster, out.path(WATCH_FILES["motion"]))
+        write_texts(out, WATCH_FILES, texts)
     out.commit()
 
 

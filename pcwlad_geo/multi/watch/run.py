@@ -25,7 +25,7 @@ from pcwlad_geo.multi.watch.collection import write_corrected
 from pcwlad_geo.multi.watch.dated_images import checked_numbers, dated_images, position_covariance
 from pcwlad_geo.multi.watch.ground_motion import moving_ground
 from pcwlad_geo.multi.watch.numbers import WatchNumbers
-from pcwlad_geo.multi.watch.page import NAMES, write_results
+from pcwlad_geo.multi.watch.page import WATCH_FILES, write_results
 from pcwlad_geo.multi.watch.requirements import judge_watch
 from pcwlad_geo.multi.watch.series import images_by_series, offsets_of, series_of
 from pcwlad_geo.outputs.folder import OutputFolder
@@ -94,7 +94,7 @@ def watch(
     covariance = position_covariance(numbers)
     series = tuple(series_of(name, images, covariance) for name, images in images_by_series(dated).items())
     offsets = offsets_of(series)
-    out_folder = OutputFolder(place, overwrite=overwrite, results=NAMES["numbers"], inputs=[source])
+    out_folder = OutputFolder(place, overwrite=overwrite, results=WATCH_FILES["numbers"], inputs=[source])
     with out_folder as out, trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
         infos = described_again(numbers)
         motion, raster, corrected = None, None, None
@@ -106,7 +106,7 @@ def watch(
         for names_left, why in ((undated, "have no date"), (refused, "were refused by the stack")):
             if names_left:
                 warn(f"in no series, as they {why}: {', '.join(names_left)}")
-        names = {name for kind, name in NAMES.items() if kind != "motion" or raster}
+        names = {name for kind, name in WATCH_FILES.items() if kind != "motion" or raster}
         watched = WatchNumbers(
             schema_version=1,
             stack=str(folder),
