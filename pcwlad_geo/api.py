@@ -219,7 +219,7 @@ class FittedCorrection(Shown):
 
     @property
     def name(self) -> str:
-        """The model chosen: shift, drift, affine, projective, polynomial2, polynomial3 or tps."""
+        """The model chosen, as `model.name` of report.json has it."""
         return self.model.name
 
     @property

@@ -16,7 +16,19 @@ from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.matching import AUTO_FEATURES, Consensus, Keypoints, Method
 from pcwlad_geo.raster import Trust
 
-Model = Literal["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc"]
+Model = Literal[
+    "auto",
+    "shift",
+    "rigid",
+    "similarity",
+    "affine",
+    "projective",
+    "polynomial",
+    "tps",
+    "field",
+    "jitter",
+    "rpc",
+]
 Prealign = Literal["auto", "georef", "search", "none"]
 Geometry = Literal["auto", "planar", "epipolar"]
 OutputGrid = Literal["reference", "reference-exact", "target"]
@@ -267,9 +279,9 @@ class Settings:
     which every depth lies (epipolar: frames with parallax); auto: planar, epipolar for frames without CRS
     that clearly hold parallax."""
     model: Model = option("auto", "Correction model.", (*_CORRECTING, "prove"))
-    """Correction model; `polynomial` is of order 2 or 3, as cross-validation says; `field`: the measured
-    field; `jitter`: an affine and waves along rows or columns; `rpc`: the target's RPC counts, also beside a
-    geotransform, and is corrected."""
+    """Correction model; `rigid`: a shift and a rotation; `similarity`: these and a scale; `polynomial` is of
+    order 2 or 3, as cross-validation says; `field`: the measured field; `jitter`: an affine and waves along
+    rows or columns; `rpc`: the target's RPC counts, also beside a geotransform, and is corrected."""
     grid: OutputGrid = option(
         "reference",
         "Grid of the registered raster: the reference's CRS and alignment, exactly the reference's "
@@ -471,7 +483,7 @@ def _check_together(settings: Settings) -> None:
         if settings.model not in ("auto", *VRT_MODELS):
             raise SettingsError(
                 f"of = 'VRT': a VRT cannot hold the model {settings.model}; give --model "
-                f"{' or '.join(VRT_MODELS)}, or --of COG or GTiff"
+                f"{', '.join(VRT_MODELS[:-1])} or {VRT_MODELS[-1]}, or --of COG or GTiff"
             )
 
 

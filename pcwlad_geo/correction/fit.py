@@ -10,10 +10,19 @@ from typing import Final
 
 import numpy as np
 
-from pcwlad_geo.correction.fitted import FitFunction, ParametricFit, Trend, centre_and_radius, checked
+from pcwlad_geo.correction.fitted import (
+    FIT,
+    FitFunction,
+    FitParameters,
+    ParametricFit,
+    Trend,
+    centre_and_radius,
+    checked,
+)
 from pcwlad_geo.correction.jitter import fit_jitter
 from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
 from pcwlad_geo.correction.polynomials import PolynomialBasis, PolynomialCorrection
+from pcwlad_geo.correction.similarity_fit import fit_similarity
 from pcwlad_geo.correction.spline_fit import fit_field, fit_tps
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.robust import (
@@ -27,22 +36,6 @@ from pcwlad_geo.estimation.robust import (
 from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.estimation.transforms import ShiftTransform
 from pcwlad_geo.types import Float64
-
-
-@dataclass(frozen=True, slots=True)
-class FitParameters:
-    """How models with few parameters are fitted."""
-
-    redundancy: int = 2
-    """Number of points needed beyond those that determine a model, without which no outlier shows."""
-    max_steps: int = 30
-    """Largest number of Gauss–Newton steps of a projective."""
-    step_px: float = 1e-6
-    """A smaller step is the last: the next would be its square over the radius of the points."""
-
-
-FIT: Final = FitParameters()
-"""Those in use."""
 
 
 def fit_projective(
@@ -257,26 +250,33 @@ class ModelFamily:
     terms: tuple[int, ...] = ()
     """Numbers of its terms among 1, column and row, which an RPC can absorb and a geotransform without drift
     can hold, so that nothing is resampled; empty for other models."""
-    of_lines: bool = False
-    """Whether it is tried for sensors with lines alone."""
+    automatic: bool = True
+    """Whether ``auto`` tries it for any image."""
+    in_geotransform: bool = False
+    """Whether the geotransform of a VRT can hold it."""
 
 
 def _polynomial(
-    name: str, words: str, order: int, terms: tuple[int, ...] = (), *, of_lines: bool = False
+    name: str, words: str, order: int, terms: tuple[int, ...] = (), *, automatic: bool = True
 ) -> ModelFamily:
     fit = partial(fit_polynomial, name=name, order=order, columns=terms or None)
-    return ModelFamily(fit, words, None if of_lines else order, terms, of_lines)
+    held = automatic and bool(terms)
+    return ModelFamily(fit, words, order if automatic else None, terms, automatic, held)
 
 
 MODELS: Final[Mapping[str, ModelFamily]] = MappingProxyType(
     {
         "shift": _polynomial("shift", "a shift", 0, (0,)),
-        "drift": _polynomial("drift", "a drift", 1, (0, 2), of_lines=True),
+        "drift": _polynomial("drift", "a drift", 1, (0, 2), automatic=False),
+        "rigid": ModelFamily(
+            partial(fit_similarity, scaled=False), "a rotation", automatic=False, in_geotransform=True
+        ),
+        "similarity": ModelFamily(fit_similarity, "a similarity", automatic=False, in_geotransform=True),
         "affine": _polynomial("affine", "an affine", 1, (0, 1, 2)),
         "projective": ModelFamily(fit_projective, "a homography"),
         "polynomial2": _polynomial("polynomial2", "a polynomial of order 2", 2),
         "polynomial3": _polynomial("polynomial3", "a polynomial of order 3", 3),
-        "jitter": ModelFamily(fit_jitter, "an affine with waves", of_lines=True),
+        "jitter": ModelFamily(fit_jitter, "an affine with waves", automatic=False),
         "tps": ModelFamily(fit_tps, "a smooth spline"),
         "field": ModelFamily(fit_field, "the measured field"),
     }
@@ -285,9 +285,9 @@ MODELS: Final[Mapping[str, ModelFamily]] = MappingProxyType(
 effect of a drifting attitude on a pushbroom image (Fraser & Hanley 2005, doi:10.14358/PERS.71.8.909)."""
 LOSSLESS: Final = {name: model.terms for name, model in MODELS.items() if model.terms}
 """Terms of the models that need no resampling, by their names."""
-CANDIDATES: Final = tuple(name for name, model in MODELS.items() if not model.of_lines)
+CANDIDATES: Final = tuple(name for name, model in MODELS.items() if model.automatic)
 """Names of the models tried for any image."""
-VRT_MODELS: Final = tuple(name for name in CANDIDATES if name in LOSSLESS)
+VRT_MODELS: Final = tuple(name for name, model in MODELS.items() if model.in_geotransform)
 """Models that the geotransform of a VRT can hold."""
 
 

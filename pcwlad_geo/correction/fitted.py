@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -17,6 +17,22 @@ from pcwlad_geo.estimation.robust import Estimate, estimate
 from pcwlad_geo.estimation.shared_errors import SharedErrors, parameter_covariance
 from pcwlad_geo.estimation.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64
+
+
+@dataclass(frozen=True, slots=True)
+class FitParameters:
+    """How models with few parameters are fitted."""
+
+    redundancy: int = 2
+    """Number of points needed beyond those that determine a model, without which no outlier shows."""
+    max_steps: int = 30
+    """Largest number of Gauss–Newton steps."""
+    step_px: float = 1e-6
+    """A smaller step is the last: the next would be its square over the radius of the points."""
+
+
+FIT: Final = FitParameters()
+"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -75,7 +75,9 @@ def fit_pair(
         footprint = matches.window_px * float(file_px_per_px(matches.views.target)[0])
         if settings.tie_points:
             footprint = footprint_px(matches.every, footprint)
-        candidates = VRT_MODELS if settings.of.upper() == "VRT" else CANDIDATES
+        candidates = CANDIDATES
+        if settings.of.upper() == "VRT":
+            candidates = tuple(name for name in CANDIDATES if name in VRT_MODELS)
         candidates = tuple(LOSSLESS) if matches.pair.rpc else candidates
         sizes_m = pixel_sizes_m(at_mean_height(target.grid), table.predicted_px)
         smooth = _of_the_main_surface(matches, footprint, parameters)

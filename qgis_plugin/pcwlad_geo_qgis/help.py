@@ -193,6 +193,8 @@ LABELS = {
     "coarse": mark("Whole pixels only"),
     "auto": mark("Automatic"),
     "shift": mark("Shift"),
+    "rigid": mark("Shift and rotation (rigid)"),
+    "similarity": mark("Shift, rotation and scale (similarity)"),
     "affine": mark("Affine"),
     "projective": mark("Projective"),
     "polynomial": mark("Polynomial"),

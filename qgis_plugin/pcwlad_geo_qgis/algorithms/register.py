@@ -11,7 +11,7 @@ from ..text import mark, tr
 from .base import MODELS, RESAMPLINGS, Context, EngineAlgorithm, Feedback, Values, absolute, options_of
 from .pair import PairAlgorithm
 
-VRT_MODELS = ("auto", "shift", "affine")
+VRT_MODELS = ("auto", "shift", "rigid", "similarity", "affine")
 """Corrections that georeferencing alone can hold."""
 
 

@@ -936,6 +936,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Verschiebung</translation>
     </message>
     <message>
+      <source>Shift and rotation (rigid)</source>
+      <translation>Verschiebung und Drehung (starr)</translation>
+    </message>
+    <message>
+      <source>Shift, rotation and scale (similarity)</source>
+      <translation>Verschiebung, Drehung und Maßstab (Ähnlichkeit)</translation>
+    </message>
+    <message>
       <source>Affine</source>
       <translation>Affin</translation>
     </message>
