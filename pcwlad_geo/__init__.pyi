@@ -1,4 +1,4 @@
-from .api import FittedCorrection, fit, match, open_pair
+from .api import fit, match, open_pair
 from .band_warping import WarpOptions, warp
 from .correction.error_statistics import Accuracy
 from .correction.models import Correction
@@ -15,6 +15,7 @@ from .errors import (
 )
 from .events import Event, EventCallback, Progress, Warned
 from .execution.runner import Runner
+from .fitted_correction import FittedCorrection
 from .job import match_files, register
 from .matching.matcher import match_arrays
 from .matching.types import MatchSettings, TiePoints

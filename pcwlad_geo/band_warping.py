@@ -216,10 +216,10 @@ def warp(
         warped: tuple[Path, ...] = ()
         if sources or not vectors:
             warped = apply(finished, sources, places, warp_output, output_raster is None, overwrite, on_event)
-        moved = warp_vectors(
+        moved_vectors = warp_vectors(
             vectors, moved_places, finished, is_inverse=inverse, overwrite=overwrite, on_event=on_event
         )
-        return (*warped, *moved)
+        return (*warped, *moved_vectors)
 
 
 def apply(

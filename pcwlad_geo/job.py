@@ -373,11 +373,11 @@ def _at_places(
 ) -> WrittenPair:
     """Return a pair with its files, and the warnings of their writing."""
     paths = {kind: job.places[kind] for kind in written.kinds}
-    others = {f"raster {band.name}": job.folder / path.name for band, path in bands.items()}
+    bands_by_kind = {f"raster {band.name}": job.folder / path.name for band, path in bands.items()}
     registration = replace(
         registration,
         warnings=registration.warnings + written.warnings,
-        outputs=paths | (others if "raster" in paths else {}),
+        outputs=paths | (bands_by_kind if "raster" in paths else {}),
     )
     return WrittenPair(registration, written.report, job.folder, paths)
 

@@ -63,8 +63,8 @@ class Movement:
         valid = np.isfinite(place_px).all(axis=1)
         move = correction.forward if self.is_inverse else correction.inverse
         moved_px[valid] = move(place_px[valid])
-        moved = grid.to_xy(moved_px)
-        return moved if self.crs is None else transform_xy(moved, grid.crs, self.crs)
+        moved_xy = grid.to_xy(moved_px)
+        return moved_xy if self.crs is None else transform_xy(moved_xy, grid.crs, self.crs)
 
 
 def vector_place(source: str, out_dir: Path) -> Path:
@@ -134,8 +134,8 @@ def _write_moved(
         raise InputError(f"{source} has no layers: there is nothing to move")
     for number, layer in enumerate(layers):
         movement = Movement(registration, _crs_of(layer, name, registration), is_inverse)
-        moved = _moved_layer(layer, movement, name, on_event)
-        _write_layer(staged, moved, WRITTEN[staged.suffix.lower()], append=number > 0)
+        moved_layer = _moved_layer(layer, movement, name, on_event)
+        _write_layer(staged, moved_layer, WRITTEN[staged.suffix.lower()], append=number > 0)
     for suffix in STYLE_SUFFIXES:
         style = Path(source).with_suffix(suffix)
         if style.is_file():
@@ -176,10 +176,10 @@ def _moved_layer(layer: VectorLayer, movement: Movement, name: str, on_event: Ev
     rows, cols = movement.registration.target_grid.shape
     place_px = movement.to_px(xy)
     if not np.isfinite(place_px).all():
-        lost = int((~np.isfinite(place_px).all(axis=1)).sum())
+        lost_count = int((~np.isfinite(place_px).all(axis=1)).sum())
         raise InputError(
-            f"the layer {layer.name!r} of {name} has {lost} vertices that the target's CRS cannot hold: clip "
-            "it to the surroundings of the target (ogr2ogr -clipsrc)"
+            f"the layer {layer.name!r} of {name} has {lost_count} vertices that the target's CRS "
+            "cannot hold: clip it to the surroundings of the target (ogr2ogr -clipsrc)"
         )
     beyond = int(((place_px < 0) | (place_px > (cols, rows))).any(axis=1).sum())
     if beyond:
@@ -189,29 +189,32 @@ def _moved_layer(layer: VectorLayer, movement: Movement, name: str, on_event: Ev
                 "where the correction is extrapolated: check them"
             )
         )
-    moved = np.empty(len(shapes), dtype=object)
+    moved_shapes = np.empty(len(shapes), dtype=object)
     for kind in np.unique(shapely.get_type_id(shapes)):
-        chosen = shapely.get_type_id(shapes) == kind
-        moved[chosen] = _moved(shapes[chosen], movement)
-    return replace(layer, geometry=np.asarray(shapely.to_wkb(moved), dtype=object))
+        of_kind = shapely.get_type_id(shapes) == kind
+        moved_shapes[of_kind] = _moved(shapes[of_kind], movement)
+    return replace(layer, geometry=np.asarray(shapely.to_wkb(moved_shapes), dtype=object))
 
 
 def _moved(shapes: NDArray[np.object_], movement: Movement) -> NDArray[np.object_]:
     """Return geometries of one type, moved; missing and empty ones stay."""
     if shapely.get_type_id(shapes[0]) == shapely.GeometryType.GEOMETRYCOLLECTION:
         collections = [shapely.get_parts(shape) for shape in shapes]
-        parts = [[_moved(np.array([part], object), movement)[0] for part in each] for each in collections]
-        return np.array([shapely.GeometryCollection(each) for each in parts], dtype=object)
+        parts = [
+            [_moved(np.array([part], object), movement)[0] for part in collection]
+            for collection in collections
+        ]
+        return np.array([shapely.GeometryCollection(part) for part in parts], dtype=object)
     is_filled = ~(shapely.is_missing(shapes) | shapely.is_empty(shapes))
-    moved = shapes.copy()
+    moved_shapes = shapes.copy()
     if not is_filled.any():
-        return moved
+        return moved_shapes
     filled = shapes[is_filled]
     has_z = shapely.has_z(filled)
     for z in np.unique(has_z):
-        some = np.flatnonzero(is_filled)[has_z == z]
-        moved[some] = _moved_alike(shapes[some], movement, has_z=bool(z))
-    return moved
+        indices = np.flatnonzero(is_filled)[has_z == z]
+        moved_shapes[indices] = _moved_alike(shapes[indices], movement, has_z=bool(z))
+    return moved_shapes
 
 
 def _moved_alike(shapes: NDArray[np.object_], movement: Movement, *, has_z: bool) -> NDArray[np.object_]:

@@ -21,7 +21,7 @@ from pcwlad_geo.cli.prove import prove_pair
 from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.rig import rig
 from pcwlad_geo.cli.running import Ending, run_guarded
-from pcwlad_geo.cli.sections import AFTER, MANY, PAIR, Command, Commands
+from pcwlad_geo.cli.sections import AFTER, MANY, ONE_PAIR, Command, Commands
 from pcwlad_geo.cli.stack import stack
 from pcwlad_geo.cli.warp import warp
 from pcwlad_geo.cli.watch import watch
@@ -61,7 +61,7 @@ app = typer.Typer(
 
 @app.command(
     cls=Command,
-    rich_help_panel=PAIR,
+    rich_help_panel=ONE_PAIR,
     epilog=o.examples(
         "register red.tif thermal.tif",
         "register red.tif thermal.tif -o registered --overwrite",
@@ -87,7 +87,7 @@ def register(
 
 @app.command(
     cls=Command,
-    rich_help_panel=PAIR,
+    rich_help_panel=ONE_PAIR,
     epilog=o.examples("match red.tif thermal.tif -o matched", "match red.tif thermal.tif --points all"),
 )
 @o.takes_settings("match")
@@ -116,7 +116,7 @@ EffortOption = Annotated[
 
 @app.command(
     cls=Command,
-    rich_help_panel=PAIR,
+    rich_help_panel=ONE_PAIR,
     epilog=o.examples("prove red.tif thermal.tif", "prove red.tif thermal.tif --effort full -o proof"),
 )
 @o.takes_settings("prove")
@@ -135,7 +135,7 @@ def prove(
 DemoFolder = Annotated[Path, o.argument("FOLDER", "Folder to write into.  [default: pcwlad-geo-demo]")]
 
 
-@app.command(cls=Command, rich_help_panel=PAIR, epilog=o.examples("demo", "demo sample --overwrite"))
+@app.command(cls=Command, rich_help_panel=ONE_PAIR, epilog=o.examples("demo", "demo sample --overwrite"))
 @o.takes_settings("demo")
 def demo(context: typer.Context, folder: DemoFolder = Path("pcwlad-geo-demo")) -> None:
     """Write a small synthetic pair into FOLDER, and register it: no data of your own are needed."""

@@ -24,13 +24,22 @@ if TYPE_CHECKING:
     from pcwlad_geo.multi.qa.requirements import Judged
     from pcwlad_geo.multi.watch.trend_page import Trend
 
-PAIR_COLUMNS: Final = ("pair (reference – target)", "n", "mean px", "LE90 px", "CE90 px", "net", "CE90 m", "")
+BAND_PAIR_COLUMNS: Final = (
+    "pair (reference – target)",
+    "n",
+    "mean px",
+    "LE90 px",
+    "CE90 px",
+    "net",
+    "CE90 m",
+    "",
+)
 """Header of the table of pairs."""
 
 
 def stack_text(result: QaResult) -> str:
     """Return the text that is printed at the end of a band QA."""
-    lines = columns([PAIR_COLUMNS, *(_pair(pair) for pair in result.pairs)], texts=(0, 7))
+    lines = columns([BAND_PAIR_COLUMNS, *(_pair(pair) for pair in result.pairs)], texts=(0, 7))
     if result.triangles:
         rows = [("triangle", "closure px", "places"), *(_triangle(triangle) for triangle in result.triangles)]
         lines += ["", *columns(rows, (0,))]

@@ -10,7 +10,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from pcwlad_geo.options import OPTIONS
 
-PAIR: Final = "One pair"
+ONE_PAIR: Final = "One pair"
 """Title of the commands for one pair."""
 MANY: Final = "Many images"
 """Title of the commands for many images."""
@@ -43,7 +43,7 @@ class Commands(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # of typer's own click
         """Write the commands: of the help of each what stands before details."""
         width = max(map(len, self.commands))
-        for title in (PAIR, MANY, AFTER):
+        for title in (ONE_PAIR, MANY, AFTER):
             lines = [
                 (name.ljust(width), f"{re.split('[:;.]', command.help or '')[0]}.")
                 for name, command in self.commands.items()
