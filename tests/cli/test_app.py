@@ -13,7 +13,7 @@ import pytest
 from typer.main import get_command
 
 import pcwlad_geo
-from pcwlad_geo.cli.app import PAIR, PROTOCOL, app, run
+from pcwlad_geo.cli.app import ONE_PAIR, PROTOCOL, app, run
 from pcwlad_geo.options import WORDS, Settings
 
 NOT_ON_THE_COMMAND_LINE = {"tile_size"}
@@ -60,7 +60,7 @@ def test_the_help_has_every_command_once_in_a_group_and_examples_that_can_be_run
 ) -> None:
     assert run(["--help"]) == 0
     shown = capsys.readouterr().out
-    groups = shown.partition(f"{PAIR}:")[2].partition("Examples:")[0]
+    groups = shown.partition(f"{ONE_PAIR}:")[2].partition("Examples:")[0]
     listed = [line.split()[0] for line in groups.splitlines() if line.startswith("  ") and line.strip()]
     assert sorted(listed) == sorted({name.split()[0] for name, _ in visible_commands()})
     assert "..." not in groups
