@@ -18,8 +18,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import Grid, RasterInfo
 from pcwlad_geo.registration import Decision
 from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.registration.result import Registration

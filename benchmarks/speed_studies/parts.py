@@ -32,8 +32,7 @@ from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.prepare import PreparedPair, prepare
 from pcwlad_geo.matching.refinement import InitialEstimate, refine
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.matching_grid import plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe, plan_views
 from pcwlad_geo.registration.planning import plan
 from pcwlad_geo.registration.starts.overviews import read_overviews
 

@@ -46,7 +46,7 @@ from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.matching.pose.grey_search import poses_by_grey_values
 from pcwlad_geo.matching.pose.search import search_pose
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.raster import map_px
 from pcwlad_geo.registration import register_pair
 
 sys.path.insert(0, str(REPOSITORY / "sample_data"))

@@ -33,7 +33,7 @@ from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.raster import map_px
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.registration.fitting import fit_correction
 

@@ -15,7 +15,7 @@ from benchmarks.quality_scenes import grounds
 from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.tables import Cell, Check, Table, at_most
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import map_px
+from pcwlad_geo.raster import map_px
 from tests.repeating_ground import PATTERNS, repeating_pair
 from tests.scenes import make_grid
 

@@ -24,8 +24,7 @@ from benchmarks.studies.rpcblock import VIEWS
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.multi.stack.result import Stack, StackImage
-from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import Grid, describe, map_px
 from pcwlad_geo.rigs.applying_run import rig_apply
 from pcwlad_geo.rigs.learning_run import rig_learn
 from tests.multi.rpc_views import view_rpc, write_view

@@ -12,7 +12,7 @@ from benchmarks.runs import Array, Job, Outcome, Runner
 from benchmarks.studies.rpc_pair import rpc_pair
 from benchmarks.tables import Cell, Check, Table, at_most
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster import transform_xy
 from pcwlad_geo.raster.rpc.bias import BIAS_TOLERANCE_PX
 from pcwlad_geo.raster.rpc.files import to_gdal
 from pcwlad_geo.raster.vrt import write_rpc_vrt

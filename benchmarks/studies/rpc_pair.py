@@ -16,11 +16,10 @@ from rasterio.rpc import RPC
 import pcwlad_geo
 from benchmarks.runs import Array
 from benchmarks.tables import Cell, Check, Table, at_least, at_most
+from pcwlad_geo.raster import RpcModel, open_raster, read_rpc
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.rpc.bias import BIAS_TOLERANCE_PX
-from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
-from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster.rpc.files import to_gdal
 from pcwlad_geo.raster.rpc.ortho import orthorectify
 from pcwlad_geo.registration import Registration
 

@@ -16,11 +16,9 @@ from benchmarks.runs import Array, Runner
 from benchmarks.studies.rpc_pair import WINDOW_PX, phase_shifts, summary
 from benchmarks.tables import Cell, Check, Table, at_most
 from pcwlad_geo.multi.stack.result import Stack
-from pcwlad_geo.raster.grid import jacobian
-from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
-from pcwlad_geo.raster.rpc.grid import at_mean_height
+from pcwlad_geo.raster import at_mean_height, describe, jacobian, read_rpc
+from pcwlad_geo.raster.rpc.files import to_gdal
 from pcwlad_geo.raster.rpc.ortho import orthorectify
-from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from tests.multi.rpc_views import view_rpc, write_view
 from tests.rpc_scene import UNDULATION_M, write_dem

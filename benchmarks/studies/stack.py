@@ -23,8 +23,7 @@ from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.multi.stack.pair_choice import additional_pairs, candidates, choose_pairs, read_overview
 from pcwlad_geo.multi.stack.pairs import edges_of, measure
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import Grid, describe
 from tests.scenes import make_grid, render, write
 
 IMAGES: Final = 24

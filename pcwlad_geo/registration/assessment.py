@@ -15,15 +15,16 @@ from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.matching.outliers import consistent
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import of_one_product
-from pcwlad_geo.raster.grid import pixel_sizes_m
-from pcwlad_geo.raster.matching_grid import (
+from pcwlad_geo.raster import (
+    RasterInfo,
+    RpcGrid,
     ViewPair,
+    at_mean_height,
+    file_px_per_px,
+    pixel_sizes_m,
     plan_views,
 )
-from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
-from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.view import file_px_per_px
 from pcwlad_geo.registration.fitting import AssessedFit, Fitted, fit_correction, footprint_px
 from pcwlad_geo.registration.match_record import MatchRecord, record_ground
 from pcwlad_geo.registration.motions import MotionParameters

@@ -15,9 +15,7 @@ import numpy as np
 
 from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.matching import TiePoints
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.view import Patch
+from pcwlad_geo.raster import Patch, ViewPair, Window
 from pcwlad_geo.types import Bool, Float32, Float64, Index
 
 

@@ -18,10 +18,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.source import RasterInfo
-from pcwlad_geo.raster.view import View
+from pcwlad_geo.raster import RasterInfo, RpcGrid, View, Window
 from pcwlad_geo.types import Bool, Float32, Float64
 
 

@@ -14,8 +14,7 @@ from pcwlad_geo.correction.dense import positions
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import Candidates, MatchSettings
 from pcwlad_geo.matching.gaps import narrow_gaps
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster import ViewPair, Window
 from pcwlad_geo.raster.source import has_quick_overview
 from pcwlad_geo.registration.planning import PlanParameters, texture_of
 from pcwlad_geo.registration.starts.overviews import Overviews

@@ -15,10 +15,7 @@ from pcwlad_geo.execution.runner import Runner, one_library_thread
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.clusters import contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
-from pcwlad_geo.raster.matching_grid import (
-    ViewPair,
-)
-from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.raster import ViewPair, file_px_per_px
 from pcwlad_geo.registration.decision import Decision, with_doubts
 from pcwlad_geo.registration.edge_sides import shared_errors
 from pcwlad_geo.registration.frame_evidence import frame_evidence

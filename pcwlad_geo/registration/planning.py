@@ -21,9 +21,7 @@ from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
 from pcwlad_geo.matching.rounds import in_rounds
 from pcwlad_geo.matching.types import OTHER_WINDOWS_PX
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.view import Patch
+from pcwlad_geo.raster import Patch, ViewPair, Window
 from pcwlad_geo.registration.inputs import tiles_along
 from pcwlad_geo.registration.starts.overviews import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult

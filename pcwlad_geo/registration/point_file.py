@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 from pcwlad_geo.correction.agreement import agreement
 from pcwlad_geo.correction.points import hold_out
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.view import file_px_per_px
+from pcwlad_geo.raster import ViewPair, file_px_per_px
 from pcwlad_geo.registration.motions import Motion, describe_motions
 from pcwlad_geo.text import read_json
 from pcwlad_geo.tiepoints.pair_points import read_tie_points

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcwlad_geo.estimation.transforms import AffineTransform
+from pcwlad_geo.raster import RasterInfo
 from pcwlad_geo.raster.cameras import Camera
-from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.types import Float64
 
 

@@ -21,11 +21,8 @@ from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.matching import Scales
 from pcwlad_geo.matching.epipolar import EpipolarGeometry, plane_residual_px
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.file_tree import file_name
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.rpc.placement import RpcPlacement
-from pcwlad_geo.raster.source import RasterInfo, bands_of
+from pcwlad_geo.raster import Grid, RasterInfo, RpcPlacement, ViewPair, file_name
+from pcwlad_geo.raster.source import bands_of
 from pcwlad_geo.registration.decision import Decision
 from pcwlad_geo.registration.inputs import InputFile
 from pcwlad_geo.registration.match_record import MatchRecord

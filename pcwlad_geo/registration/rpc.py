@@ -13,8 +13,20 @@ from pcwlad_geo.correction.fit import LOSSLESS
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import (
+    Dem,
+    Grid,
+    RasterInfo,
+    RpcGrid,
+    RpcModel,
+    RpcPlacement,
+    RpcSource,
+    describe,
+    map_px,
+    middle_pixel_size_m,
+    read_rpc,
+)
 from pcwlad_geo.raster.crs import utm_zone_of
-from pcwlad_geo.raster.grid import Grid, map_px, middle_pixel_size_m
 from pcwlad_geo.raster.rpc.bias import (
     BIAS_TOLERANCE_PX,
     apply_bias,
@@ -23,12 +35,9 @@ from pcwlad_geo.raster.rpc.bias import (
     covered_range,
     parallax,
 )
-from pcwlad_geo.raster.rpc.dem import Dem, Vertical
-from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
-from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
-from pcwlad_geo.raster.rpc.model import RpcModel
-from pcwlad_geo.raster.rpc.placement import RpcPlacement, place_by_rpc
-from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster.rpc.dem import Vertical
+from pcwlad_geo.raster.rpc.grid import with_height_offset
+from pcwlad_geo.raster.rpc.placement import place_by_rpc
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64
 

@@ -30,8 +30,7 @@ from pcwlad_geo.matching.noise import Noise
 from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair, prepare
 from pcwlad_geo.matching.second_pass import displacement_by_windows
 from pcwlad_geo.matching.types import TRAITS
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.view import Patch, View
+from pcwlad_geo.raster import Patch, View, Window
 from pcwlad_geo.types import Float64, Index
 
 INTERPOLATED: Final = 4

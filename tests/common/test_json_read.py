@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.multi.stack.numbers import StackNumbers
-from pcwlad_geo.raster.bands import Bands
+from pcwlad_geo.raster import Bands
 from pcwlad_geo.text import mismatch, parse_json, plain, whole
 
 PLAIN = (

@@ -16,7 +16,7 @@ import pcwlad_geo
 from pcwlad_geo import InputError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import InThisProcess
-from pcwlad_geo.raster.identity import identify
+from pcwlad_geo.raster import identify
 from tests.scenes import make_grid, render, write
 
 OPTIONS: Any = {"template": 61, "window": 41, "features": 40, "model": "shift", "executor": InThisProcess()}

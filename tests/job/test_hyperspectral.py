@@ -13,12 +13,8 @@ from numpy.typing import NDArray
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
-from pcwlad_geo.raster.bands import Bands
+from pcwlad_geo.raster import Bands, Grid, Trust, View, Window, describe, trusting
 from pcwlad_geo.raster.combined_bands import with_bands
-from pcwlad_geo.raster.grid import Grid, Window
-from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
-from pcwlad_geo.raster.view import View
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((280, 280))

@@ -16,8 +16,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.spatial import cKDTree
 
 import pcwlad_geo
-from pcwlad_geo.raster.matching_grid import plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe, plan_views
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.statistics import coverage_of
 from pcwlad_geo.tiepoints.csv_file import write_csv

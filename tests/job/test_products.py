@@ -13,7 +13,7 @@ import pcwlad_geo
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.products import Product, finding
-from pcwlad_geo.raster.grid import Grid, map_px
+from pcwlad_geo.raster import Grid, map_px
 from tests.product_files import LANDSAT, SAFE, SHIFT_M, grid_of, packed, seen_by, write_landsat, write_safe
 
 SMALL = {"template": 61, "window": 41, "features": 100}

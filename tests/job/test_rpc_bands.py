@@ -12,9 +12,7 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo.cli.app import run as run_app
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.rpc.files import read_rpc
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
+from pcwlad_geo.raster import Grid, Trust, read_rpc, trusting
 from tests.rpc_scene import (
     SHAPE,
     UNDULATION_M,

@@ -14,11 +14,8 @@ from rasterio.crs import CRS
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.products.finding import find_product, stem_of
-from pcwlad_geo.raster.crs import transform_xy
+from pcwlad_geo.raster import Grid, Trust, describe, transform_xy, trusting
 from pcwlad_geo.raster.georeferencing import geotransform_of
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
 from tests.product_files import packed
 from tests.scenes import make_grid, render, write
 

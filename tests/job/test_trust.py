@@ -13,7 +13,8 @@ import pytest
 import pcwlad_geo
 from pcwlad_geo.errors import TrustError
 from pcwlad_geo.execution.runner import in_environment
-from pcwlad_geo.raster.trust.permissions import Trust, current_trust
+from pcwlad_geo.raster import Trust
+from pcwlad_geo.raster.trust.permissions import current_trust
 from tests.cli.process import run_cli
 from tests.hostile_rasters import Server, raw_vrt, serving, vrt
 from tests.scenes import make_grid, render, write

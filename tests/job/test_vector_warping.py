@@ -20,7 +20,7 @@ from pcwlad_geo.cli.app import run
 from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.correction.vertices import DensifyingParameters, densify
 from pcwlad_geo.events import Event
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid
 from tests.registrations import SHIFT_PX, Make
 
 Array = NDArray[np.float64]

@@ -13,8 +13,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.multi.qa.band_pairs import PairResult, statistics_by_unit
 from pcwlad_geo.multi.qa.bands import Band
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import Grid, RasterInfo
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
 
 Array = NDArray[np.float64]

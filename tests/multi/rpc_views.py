@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster import Dem, RpcGrid, RpcModel
 from tests.rpc_scene import PX_PER_M, make_rpc, rpc_grid, write_dem, write_image
 from tests.scenes import CRS_OF_SCENE, render
 

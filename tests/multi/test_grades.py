@@ -24,7 +24,7 @@ from pcwlad_geo.multi.stack.quality import StackQuality, image_qualities, residu
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.multi.stack.verdict import grade_images, judge_stack
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import RasterInfo
 from pcwlad_geo.requirements import parse_requirements
 from tests.multi.test_adjustment import GRID, make
 from tests.multi.test_stack import write_images

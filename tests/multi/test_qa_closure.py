@@ -18,8 +18,8 @@ from scipy.ndimage import uniform_filter
 from pcwlad_geo.multi.qa.band_pairs import PairResult
 from pcwlad_geo.multi.qa.bands import Band
 from pcwlad_geo.multi.qa.closure import TriangleSide, close_triangle, close_triangles, standard_error
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.grid import Grid, apply, apply_inverse
+from pcwlad_geo.raster import Grid, transform_xy
+from pcwlad_geo.raster.grid import apply, apply_inverse
 from tests.multi.measured_bands import UTM, make_band, make_mapped_pair, make_pair, refused
 
 Array = NDArray[np.float64]

@@ -17,9 +17,9 @@ from pcwlad_geo.multi.block.block import BlockPair, RpcBlock
 from pcwlad_geo.multi.block.dem_check import check_dem
 from pcwlad_geo.multi.stack.rpc_result import adjust_rpcs
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.rpc.dem import Dem, Undulation
-from pcwlad_geo.raster.rpc.grid import RpcGrid, with_height_offset
+from pcwlad_geo.raster import Dem, Grid, RpcGrid, map_px
+from pcwlad_geo.raster.rpc.dem import Undulation
+from pcwlad_geo.raster.rpc.grid import with_height_offset
 from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.registration.rpc import height_errors
 from tests.multi.rpc_views import grids_of_views, view_rpc

@@ -16,10 +16,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.block.adjustment import BlockAdjustment, adjust_block
 from pcwlad_geo.multi.block.block import BlockPair, RpcBlock
 from pcwlad_geo.multi.stack.rpc_points import control_points_of
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.grid import map_px
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster import Dem, RpcGrid, map_px, transform_xy
 from pcwlad_geo.raster.rpc.planning import ground_grid
 from tests.multi.rpc_views import grids_of_views
 from tests.rpc_scene import SHAPE

@@ -17,7 +17,8 @@ import pcwlad_geo
 from pcwlad_geo.errors import InputError, OutputError, SettingsError
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.multi.stack.result import Stack
-from pcwlad_geo.raster.rpc.files import parse_rpc_text, read_rpc, to_gdal
+from pcwlad_geo.raster import read_rpc
+from pcwlad_geo.raster.rpc.files import parse_rpc_text, to_gdal
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from tests.multi.rpc_views import TRUTH_PX, view_rpc, write_views
 from tests.rpc_scene import UNDULATION_M, write_image

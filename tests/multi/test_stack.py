@@ -22,8 +22,7 @@ from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.multi.stack.pair_choice import CHOICE, candidates, choose_pairs, read_overview
 from pcwlad_geo.multi.stack.run import stack
-from pcwlad_geo.raster.grid import map_px
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe, map_px
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.scenes import make_grid, render, write

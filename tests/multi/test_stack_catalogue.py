@@ -15,7 +15,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from pcwlad_geo.multi.stack.run import stack
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 from tests.scenes import make_grid, render, write
 

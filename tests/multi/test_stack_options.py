@@ -23,8 +23,7 @@ from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.multi.stack import pairs as stack_pairs
 from pcwlad_geo.multi.stack.adding import stack_add
 from pcwlad_geo.multi.stack.run import stack
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid, transform_xy
 from tests.cluster import cluster
 from tests.multi.conftest import Placed
 from tests.multi.test_stack import FEW, FEW_WORDS, GRID, SHIFTS_PX, content, write_images

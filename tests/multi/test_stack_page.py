@@ -17,7 +17,7 @@ from pcwlad_geo.multi.stack.pairs import MeasuredPair
 from pcwlad_geo.multi.stack.positions import stack_of
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe
 from tests.multi.test_adjustment import make, ring
 from tests.scenes import make_grid, render, write
 

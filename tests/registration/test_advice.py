@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.raster.view import Patch
+from pcwlad_geo.raster import Patch
 from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.decision import Decision, Evidence
 from pcwlad_geo.registration.starts.alignment import Prealignment

@@ -15,9 +15,8 @@ from rasterio.crs import CRS
 import pcwlad_geo
 from benchmarks.studies.crs import RIGHT_PX, SCENES, SETTINGS, SHIFT_PX
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Window, apply
-from pcwlad_geo.raster.matching_grid import plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import Window, describe, plan_views
+from pcwlad_geo.raster.grid import apply
 from pcwlad_geo.registration.run import register_pair
 from tests.earth import LONLAT, Raster, ground
 

@@ -9,10 +9,9 @@ import pytest
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import Grid, RasterInfo, Window
 from pcwlad_geo.raster import view as views
-from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.matching_grid import MATCHING_GRIDS
-from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.inputs import requested_grid
 from pcwlad_geo.registration.run import register_pair
 from tests.registration.test_run import SHIFT_PX, check, write_pair

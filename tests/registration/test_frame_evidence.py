@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe
 from pcwlad_geo.registration.frame_evidence import FrameEvidence, frame_evidence
 from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render, write

@@ -13,8 +13,7 @@ import pytest
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.matching_grid import plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe, plan_views
 from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.table import TiePointTable, place

@@ -13,8 +13,7 @@ from rasterio.crs import CRS
 from pcwlad_geo.multi.qa.band_pairs import statistics_by_unit
 from pcwlad_geo.multi.qa.bands import list_bands
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid, transform_xy
 from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.report.summary import summarise
 from tests.scenes import CRS_OF_SCENE, ORIGIN_XY_M, render, write

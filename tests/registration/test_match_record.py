@@ -14,9 +14,7 @@ from rasterio.enums import Resampling
 from pcwlad_geo.matching import Candidates
 from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster import source
-from pcwlad_geo.raster.matching_grid import plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import describe, plan_views, source
 from pcwlad_geo.registration.match_record import GROUND, record_ground
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import register_pair

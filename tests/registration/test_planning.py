@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching import MatchSettings, TiePoints
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import ViewPair, Window, describe, plan_views
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
 from pcwlad_geo.registration.starts.overviews import read_overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult

@@ -16,9 +16,8 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.pose.proposal import PoseProposal
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import ViewPair, describe, plan_views
 from pcwlad_geo.raster.cameras import Camera
-from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.registration.scene import pose as pose_module

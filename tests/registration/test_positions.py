@@ -10,7 +10,7 @@ import pytest
 
 from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster import RasterInfo, describe
 from pcwlad_geo.registration.positions import PositionConflict, position_conflict
 from pcwlad_geo.registration.run import register_pair
 from tests.scenes import make_grid, render, tag_jpeg, write

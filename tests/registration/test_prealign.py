@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import Grid, ViewPair, describe, plan_views
 from pcwlad_geo.registration.starts.alignment import Prealignment, by_georeferencing, target_offset_px
 from pcwlad_geo.registration.starts.overviews import read_overviews
 from pcwlad_geo.registration.starts.parameters import START

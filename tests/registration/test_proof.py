@@ -14,7 +14,7 @@ from pcwlad_geo.events import JobLog, ignore
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.matching.noise import noise_level
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Window
+from pcwlad_geo.raster import Window
 from pcwlad_geo.registration.decision import Decision
 from pcwlad_geo.registration.matching import match_pair
 from pcwlad_geo.registration.opening import prepare_pair

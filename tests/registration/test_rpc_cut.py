@@ -7,14 +7,10 @@ import pytest
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid, map_px
-from pcwlad_geo.raster.rpc.dem import Dem, Undulation
-from pcwlad_geo.raster.rpc.files import read_rpc
-from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster import Dem, Grid, RpcGrid, RpcModel, RpcPlacement, describe, map_px, read_rpc
+from pcwlad_geo.raster.rpc.dem import Undulation
 from pcwlad_geo.raster.rpc.ortho import ortho_grid
-from pcwlad_geo.raster.rpc.placement import RpcPlacement, place_by_rpc
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster.rpc.placement import place_by_rpc
 from pcwlad_geo.registration.rpc import place_target
 from pcwlad_geo.registration.run import register_pair
 from tests.rpc_scene import (

@@ -15,12 +15,9 @@ from rasterio.rpc import RPC
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.rpc.files import read_rpc, to_gdal
+from pcwlad_geo.raster import Trust, View, Window, describe, read_rpc, trusting
+from pcwlad_geo.raster.rpc.files import to_gdal
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
-from pcwlad_geo.raster.source import describe
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
-from pcwlad_geo.raster.view import View
 from pcwlad_geo.registration.rpc import RpcParameters, check_start, place_target
 from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.registration.starts.alignment import Prealignment
@@ -79,7 +76,7 @@ def test_points_are_seen_in_the_original_image(registered: Registered, pair: Pai
 
 
 def rpc_lon_lat(xy: np.ndarray) -> np.ndarray:
-    from pcwlad_geo.raster.crs import WGS84, transform_xy
+    from pcwlad_geo.raster import WGS84, transform_xy
     from tests.scenes import CRS_OF_SCENE
 
     return transform_xy(xy, CRS_OF_SCENE, WGS84)

@@ -21,8 +21,7 @@ from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.runner import OnExecutor, Runner
 from pcwlad_geo.execution.workers import LocalWorkers
 from pcwlad_geo.options import Model, Settings
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid, transform_xy
 from pcwlad_geo.registration import assessment
 from pcwlad_geo.registration.quality import Quality, Reason
 from pcwlad_geo.registration.result import Registration

@@ -14,8 +14,7 @@ from pcwlad_geo.matching.grey_values import Tones
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.noise import Noise
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import ViewPair, describe, plan_views
 from pcwlad_geo.registration.planning import plan as plan_scene
 from pcwlad_geo.registration.starts.overviews import read_overviews
 from pcwlad_geo.registration.tiles import Scene, TileJob, match_tile, rematch_tile

@@ -69,14 +69,7 @@ OF_THE_ROOM = {
     "registration": ("pcwlad_geo/registration", "tests/registration"),
     "raster": ("pcwlad_geo/raster", "tests/raster"),
 }
-LATER: dict[str, tuple[str, ...]] = {
-    "raster": (
-        *("pcwlad_geo/api.py", "pcwlad_geo/band_warping.py", "pcwlad_geo/cli", "pcwlad_geo/job"),
-        *("pcwlad_geo/options.py", "pcwlad_geo/outputs", "pcwlad_geo/report", "pcwlad_geo/multi"),
-        *("pcwlad_geo/registration", "tests/job", "tests/outputs", "tests/report", "tests/multi"),
-        *("tests/registration", "tests/common", "tests/registrations.py", "benchmarks"),
-    )
-}
+LATER: dict[str, tuple[str, ...]] = {"raster": ("pcwlad_geo/multi/qa/run.py",)}
 """These import names of the front from inner modules, too."""
 
 

@@ -9,9 +9,7 @@ import numpy as np
 from pcwlad_geo.correction.fit import LOSSLESS
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.multi.block.parameters import BLOCK, BlockParameters
-from pcwlad_geo.raster.grid import Grid, jacobian
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.grid import RpcGrid, at_mean_height
+from pcwlad_geo.raster import Dem, Grid, RpcGrid, at_mean_height, jacobian
 from pcwlad_geo.types import Float64
 
 

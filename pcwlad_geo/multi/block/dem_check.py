@@ -13,9 +13,8 @@ from pcwlad_geo.multi.block.adjustment import BlockAdjustment
 from pcwlad_geo.multi.block.block import BlockPair, RpcBlock, pixel_in_frame
 from pcwlad_geo.multi.block.linearisation import implied_heights
 from pcwlad_geo.multi.block.parameters import DEM_CHECK, DemCheckParameters
-from pcwlad_geo.raster.crs import WGS84, transform_xy
-from pcwlad_geo.raster.grid import pixel_sizes_m
-from pcwlad_geo.raster.rpc.dem import Dem, relief
+from pcwlad_geo.raster import WGS84, Dem, pixel_sizes_m, transform_xy
+from pcwlad_geo.raster.rpc.dem import relief
 from pcwlad_geo.types import Float64
 
 

@@ -14,7 +14,7 @@ from pcwlad_geo.estimation.solving import NormalEquations
 from pcwlad_geo.multi.block.block import BlockPair, ImageTerms, RpcBlock, pixel_in_frame
 from pcwlad_geo.multi.block.linearisation import ZERO_SIGMA, Linearisation, linearised_pair, point_weights
 from pcwlad_geo.multi.block.parameters import BLOCK, BlockParameters
-from pcwlad_geo.raster.grid import map_px, middle_pixel_size_m
+from pcwlad_geo.raster import map_px, middle_pixel_size_m
 from pcwlad_geo.raster.rpc.dem import relief
 from pcwlad_geo.raster.rpc.grid import image_px
 from pcwlad_geo.types import Bool, Float64, Index

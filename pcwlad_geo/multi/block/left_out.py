@@ -18,8 +18,7 @@ from pcwlad_geo.multi.block.equations import (
     linearised_again,
 )
 from pcwlad_geo.multi.block.linearisation import Linearisation
-from pcwlad_geo.raster.grid import jacobian
-from pcwlad_geo.raster.rpc.dem import Dem
+from pcwlad_geo.raster import Dem, jacobian
 from pcwlad_geo.types import Bool, Float64, Index
 
 NEEDED_OBSERVATIONS: Final = "the correction of an RPC needs tie points or control points of each image"

@@ -11,8 +11,8 @@ import numpy as np
 from pcwlad_geo.estimation.robust import MEASURED
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.multi.block.block import BlockPair, ImageTerms, RpcBlock
-from pcwlad_geo.raster.grid import map_px
-from pcwlad_geo.raster.rpc.grid import at_mean_height, image_px, with_height_offset
+from pcwlad_geo.raster import at_mean_height, map_px
+from pcwlad_geo.raster.rpc.grid import image_px, with_height_offset
 from pcwlad_geo.types import Float64
 
 NO_PARALLAX: Final = 1e-3

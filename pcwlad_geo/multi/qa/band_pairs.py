@@ -12,7 +12,7 @@ from pcwlad_geo.correction.error_statistics import ErrorStatistics, in_units
 from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.multi.qa.bands import Band
 from pcwlad_geo.products.finding import native_per_px
-from pcwlad_geo.raster.grid import pixel_sizes_m
+from pcwlad_geo.raster import pixel_sizes_m
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64

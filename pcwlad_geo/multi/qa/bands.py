@@ -16,10 +16,8 @@ from pcwlad_geo.options import BAND_NAME
 from pcwlad_geo.products.finding import find_product, native_px_m, no_product, stem_of
 from pcwlad_geo.products.names import rasters_of
 from pcwlad_geo.products.product import Product
-from pcwlad_geo.raster.file_tree import file_name, is_folder, plain_uri
-from pcwlad_geo.raster.grid import middle_pixel_size_m
-from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster import RasterInfo, describe, file_name, is_folder, middle_pixel_size_m, open_raster
+from pcwlad_geo.raster.file_tree import plain_uri
 from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.text import whole
 from pcwlad_geo.types import PathLike

@@ -15,7 +15,7 @@ from pcwlad_geo.correction.error_statistics import FloatPair, float_pair
 from pcwlad_geo.matching.field import Surface, predict
 from pcwlad_geo.multi.qa.band_pairs import PairResult, cell_means
 from pcwlad_geo.multi.qa.bands import Band
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import RasterInfo
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
 from pcwlad_geo.types import Float64, Index
 

@@ -15,7 +15,7 @@ from pcwlad_geo.multi.qa.bands import Band
 from pcwlad_geo.multi.qa.closure import Triangle
 from pcwlad_geo.multi.qa.requirements import Judged, Preset, Scope
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.identity import FileIdentity
+from pcwlad_geo.raster import FileIdentity
 from pcwlad_geo.report.content import Positive
 from pcwlad_geo.report.json_content import filled, rounded, versions
 from pcwlad_geo.requirements import Unit

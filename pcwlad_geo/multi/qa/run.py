@@ -34,9 +34,7 @@ from pcwlad_geo.multi.qa.requirements import (
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import stem_of
-from pcwlad_geo.raster.file_tree import plain_name
-from pcwlad_geo.raster.identity import FileIdentity, check_unchanged, identify
-from pcwlad_geo.raster.trust.permissions import trusting
+from pcwlad_geo.raster import FileIdentity, check_unchanged, identify, plain_name, trusting
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
 

@@ -30,7 +30,7 @@ from pcwlad_geo.multi.stack.positions import stack_of
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
-from pcwlad_geo.raster.trust.permissions import trusting
+from pcwlad_geo.raster import trusting
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:

@@ -11,9 +11,8 @@ import shapely
 
 from pcwlad_geo.multi.stack.inputs import DATE
 from pcwlad_geo.multi.stack.result import Stack, StackImage
-from pcwlad_geo.raster.grid import Grid
+from pcwlad_geo.raster import Grid, describe
 from pcwlad_geo.raster.overlap import lon_lat_bounds, lon_lat_outline
-from pcwlad_geo.raster.source import describe
 
 STAC_VERSION: Final = "1.0.0"
 """Version of the STAC specification."""

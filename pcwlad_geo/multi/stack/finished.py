@@ -16,8 +16,7 @@ from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.multi.stack.model_choice import CANDIDATE_MODELS
 from pcwlad_geo.multi.stack.numbers import NUMBERS, numbers_of
 from pcwlad_geo.multi.stack.pairs import PAIRS, MeasuredPair, measured_pair
-from pcwlad_geo.raster.file_tree import plain_name
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import RasterInfo, plain_name
 
 RasterInfoOrError = RasterInfo | InputError
 """An image, or why it cannot be read."""

@@ -10,8 +10,7 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.multi.stack.inputs import StackInput, check_reference
-from pcwlad_geo.raster.grid import Grid, jacobian, map_px
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import Grid, RasterInfo, jacobian, map_px
 from pcwlad_geo.types import Float64
 
 

@@ -19,9 +19,7 @@ from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, rasters_of
-from pcwlad_geo.raster.bands import Bands
-from pcwlad_geo.raster.file_tree import file_name, is_folder, plain_name
-from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster import Bands, RasterInfo, describe, file_name, is_folder, plain_name
 from pcwlad_geo.text import is_uri, read_json, read_text, whole
 from pcwlad_geo.types import PathLike
 

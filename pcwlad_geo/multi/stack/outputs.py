@@ -25,8 +25,7 @@ from pcwlad_geo.multi.stack.verdict import grade_images, judge_stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.output_grid import GridRequest
+from pcwlad_geo.raster import GridRequest, OutputFormat
 from pcwlad_geo.raster.vrt import write_corrected_vrt
 from pcwlad_geo.registration import requested_grid
 from pcwlad_geo.requirements import parse_requirements

@@ -21,8 +21,7 @@ from pcwlad_geo.multi.stack.quality import GRADES_OF_IMAGES
 from pcwlad_geo.multi.stack.result import Stack, StackImage
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.files import OUTPUT_NAMES
-from pcwlad_geo.raster.file_tree import file_name
-from pcwlad_geo.raster.source import RasterInfo
+from pcwlad_geo.raster import RasterInfo, file_name
 from pcwlad_geo.registration import Decision, Prealignment, Registration
 from pcwlad_geo.report.answers import Answer, Headline, State
 from pcwlad_geo.report.maps import displacement_figure

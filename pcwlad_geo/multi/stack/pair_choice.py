@@ -26,8 +26,8 @@ from pcwlad_geo.multi.stack.equations import ends_of
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.inputs import StackInput, check_enough, read_table
 from pcwlad_geo.multi.stack.result import Chosen
-from pcwlad_geo.raster.opening import open_raster
-from pcwlad_geo.raster.source import RasterInfo, has_quick_overview
+from pcwlad_geo.raster import RasterInfo, open_raster
+from pcwlad_geo.raster.source import has_quick_overview
 from pcwlad_geo.types import Float64, PathLike
 
 

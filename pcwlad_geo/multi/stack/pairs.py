@@ -23,8 +23,7 @@ from pcwlad_geo.multi.stack.pair import PairStatus, StackPair, grade_pair, valid
 from pcwlad_geo.multi.stack.parameters import PAIR, PairParameters
 from pcwlad_geo.options import SETTINGS, Settings
 from pcwlad_geo.products.finding import of_one_product
-from pcwlad_geo.raster.grid import middle_pixel_size_m
-from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster import RpcGrid, middle_pixel_size_m
 from pcwlad_geo.registration import Motion, Reason, estimate_tile_count
 from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
 from pcwlad_geo.registration.positions import position_conflict

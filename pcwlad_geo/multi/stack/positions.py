@@ -25,9 +25,7 @@ from pcwlad_geo.multi.stack.parameters import SPLINES
 from pcwlad_geo.multi.stack.quality import residual_ce90
 from pcwlad_geo.multi.stack.result import Chosen, Stack, StackImage
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import pixel_sizes_m
-from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.rpc.grid import at_mean_height
+from pcwlad_geo.raster import OutputFormat, at_mean_height, pixel_sizes_m
 from pcwlad_geo.types import Float64
 
 NODES: Final = 15

@@ -17,7 +17,7 @@ from pcwlad_geo.multi.stack.control_points import ControlPoint
 from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.multi.stack.pair import StackPair
 from pcwlad_geo.multi.stack.quality import StackQuality
-from pcwlad_geo.raster.rpc.model import RpcModel
+from pcwlad_geo.raster import RpcModel
 from pcwlad_geo.registration import RpcRegistration
 from pcwlad_geo.requirements import RequirementResult, all_met
 

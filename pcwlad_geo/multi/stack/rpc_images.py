@@ -14,15 +14,12 @@ from pcwlad_geo.multi.block.block import RpcBlock
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.inputs import StackInput, check_reference
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid, linear_part, map_px
+from pcwlad_geo.raster import Dem, Grid, RasterInfo, RpcGrid, RpcPlacement, RpcSource, map_px, read_rpc
+from pcwlad_geo.raster.grid import linear_part
 from pcwlad_geo.raster.output_grid import OUTPUT_GRIDS
-from pcwlad_geo.raster.rpc.dem import Dem
-from pcwlad_geo.raster.rpc.files import RpcSource, read_rpc
-from pcwlad_geo.raster.rpc.grid import RpcGrid
 from pcwlad_geo.raster.rpc.ortho import ortho_grid
-from pcwlad_geo.raster.rpc.placement import PLACEMENT, RpcPlacement, place_by_rpc
+from pcwlad_geo.raster.rpc.placement import PLACEMENT, place_by_rpc
 from pcwlad_geo.raster.rpc.planning import ground_grid
-from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.rpc import check_model, ground_crs
 
 

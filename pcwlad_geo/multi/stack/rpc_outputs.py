@@ -17,12 +17,8 @@ from pcwlad_geo.multi.stack.rpc_images import PlacedImages
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.bands import BandOutput, orthorectify_band
 from pcwlad_geo.outputs.files import OUTPUT_NAMES
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.identity import identify
-from pcwlad_geo.raster.output_format import OutputFormat
-from pcwlad_geo.raster.output_grid import GridRequest
+from pcwlad_geo.raster import Grid, GridRequest, OutputFormat, RasterInfo, identify
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
-from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import write_rpc_vrt
 from pcwlad_geo.registration import requested_grid
 from pcwlad_geo.report.finished import FinishedRegistration

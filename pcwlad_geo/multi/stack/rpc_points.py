@@ -21,9 +21,8 @@ from pcwlad_geo.multi.stack.inputs import number_of, read_table
 from pcwlad_geo.multi.stack.pairs import MeasuredPair
 from pcwlad_geo.multi.stack.parameters import CONTROL, ControlParameters
 from pcwlad_geo.multi.stack.rpc_images import PlacedImages
-from pcwlad_geo.raster.crs import transform_xy
-from pcwlad_geo.raster.grid import Grid, pixel_sizes_m
-from pcwlad_geo.raster.rpc.grid import at_mean_height, image_px
+from pcwlad_geo.raster import Grid, at_mean_height, pixel_sizes_m, transform_xy
+from pcwlad_geo.raster.rpc.grid import image_px
 from pcwlad_geo.types import PathLike
 
 

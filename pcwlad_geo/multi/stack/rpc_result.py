@@ -24,8 +24,7 @@ from pcwlad_geo.multi.stack.rpc_images import PlacedImages
 from pcwlad_geo.multi.stack.rpc_outputs import rpc_names
 from pcwlad_geo.multi.stack.rpc_points import pixel_m
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.grid import Grid, jacobian
-from pcwlad_geo.raster.rpc.grid import at_mean_height
+from pcwlad_geo.raster import Grid, at_mean_height, jacobian
 from pcwlad_geo.registration.rpc import corrected_rpc
 from pcwlad_geo.types import Bool, Float64
 

@@ -44,7 +44,7 @@ from pcwlad_geo.multi.stack.rpc_images import has_rpcs, place_images
 from pcwlad_geo.multi.stack.rpc_run import stack_of_rpcs
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
-from pcwlad_geo.raster.trust.permissions import trusting
+from pcwlad_geo.raster import trusting
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:

@@ -25,8 +25,7 @@ from pcwlad_geo.multi.stack.positions import NODES
 from pcwlad_geo.multi.watch.numbers import CorrectedImages, ImageSeries, WatchedImage
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import describe
+from pcwlad_geo.raster import Grid, describe
 from pcwlad_geo.raster.vrt import corrected_transform, referred
 
 APPLIED: Final = "{}_registered.tif"

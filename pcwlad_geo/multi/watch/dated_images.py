@@ -17,7 +17,7 @@ from pcwlad_geo.multi.block.parameters import BLOCK
 from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.multi.stack.parameters import ADJUSTMENT
 from pcwlad_geo.multi.watch.dates import FIRST_YEAR, LAST_YEAR, YEAR_S, seconds_of
-from pcwlad_geo.raster.file_tree import plain_name
+from pcwlad_geo.raster import plain_name
 from pcwlad_geo.types import Float64
 
 

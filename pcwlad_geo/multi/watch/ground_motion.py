@@ -23,7 +23,7 @@ from pcwlad_geo.multi.stack.finished import RasterInfoOrError, frame_again
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.pairs import PAIRS
 from pcwlad_geo.multi.watch.dated_images import DatedImage
-from pcwlad_geo.raster.grid import middle_pixel_size_m
+from pcwlad_geo.raster import middle_pixel_size_m
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.types import Bool, Float64, Index
 

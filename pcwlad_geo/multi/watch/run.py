@@ -30,7 +30,7 @@ from pcwlad_geo.multi.watch.requirements import judge_watch
 from pcwlad_geo.multi.watch.series import images_by_series, offsets_of, series_of
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
-from pcwlad_geo.raster.trust.permissions import Trust, trusting
+from pcwlad_geo.raster import Trust, trusting
 from pcwlad_geo.requirements import all_met, parse_requirements
 from pcwlad_geo.types import PathLike
 

@@ -16,7 +16,7 @@ from pcwlad_geo.multi.qa.numbers import QaNumbers
 from pcwlad_geo.multi.watch.dates import date_in, seconds_of, without_dates
 from pcwlad_geo.multi.watch.trend_page import Moment, PairSeries, Trend, render
 from pcwlad_geo.outputs.folder import OutputFolder
-from pcwlad_geo.raster.file_tree import file_name
+from pcwlad_geo.raster import file_name
 from pcwlad_geo.report.content import Report
 from pcwlad_geo.text import csv_of, mismatch, read_json
 from pcwlad_geo.types import PathLike

@@ -25,9 +25,8 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import Patch, Window
 from pcwlad_geo.raster.arrays import Raster, Scratch
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.view import Patch
 from pcwlad_geo.registration.proof.parameters import ProofParameters
 from pcwlad_geo.registration.proof.resampling import Resampler
 from pcwlad_geo.registration.result import Matches, Registration

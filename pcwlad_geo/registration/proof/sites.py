@@ -12,8 +12,7 @@ from pcwlad_geo.correction.proof_result import Move
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import MatchSettings, Scales
 from pcwlad_geo.matching.noise import noise_level
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.view import Patch, file_px_per_px
+from pcwlad_geo.raster import Patch, Window, file_px_per_px
 from pcwlad_geo.registration.proof.parameters import ProofParameters
 from pcwlad_geo.registration.proof.resampling import Resampler
 from pcwlad_geo.registration.result import Matches

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster import RasterInfo, ViewPair
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
-from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.registration.advice import refusal
 from pcwlad_geo.registration.rpc import shifted
 from pcwlad_geo.registration.scene.ground import compare_with_rivals, reach_all_ground, select_ground_motion

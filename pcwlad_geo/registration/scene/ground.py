@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcwlad_geo.products.finding import of_one_product
-from pcwlad_geo.raster.grid import middle_pixel_size_m
+from pcwlad_geo.raster import middle_pixel_size_m
 from pcwlad_geo.registration.decision import with_doubts
 from pcwlad_geo.registration.motions import motion_of_the_ground
 from pcwlad_geo.registration.rivals import (

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pcwlad_geo.events import JobLog, Progress
-from pcwlad_geo.raster.file_tree import file_name
-from pcwlad_geo.raster.grid import jacobian
-from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster import ViewPair, file_name, jacobian
 from pcwlad_geo.registration.scene.parameters import SceneContext
 from pcwlad_geo.registration.starts.alignment import (
     Prealignment,

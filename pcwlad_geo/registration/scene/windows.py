@@ -6,7 +6,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import MatchSettings
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX, LARGE_WINDOWS_PX, OTHER_WINDOWS_PX, TRAITS
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster import ViewPair
 from pcwlad_geo.registration.planning import common_region, farthest_px
 from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
 from pcwlad_geo.registration.starts.alignment import Prealignment

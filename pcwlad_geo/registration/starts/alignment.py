@@ -10,7 +10,7 @@ import numpy as np
 
 from pcwlad_geo.matching.types import TRAITS
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.matching_grid import ViewPair
+from pcwlad_geo.raster import ViewPair
 from pcwlad_geo.registration.starts.overviews import Overviews, tones_of
 from pcwlad_geo.registration.starts.parameters import START, StartParameters
 from pcwlad_geo.registration.starts.pose import Pose

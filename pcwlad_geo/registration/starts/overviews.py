@@ -13,10 +13,8 @@ from pcwlad_geo.matching.grey_values import GREY, Tones
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.noise import Noise, noise_of_samples, of_whole_image, rounding_of
 from pcwlad_geo.matching.prepare import without_speckle
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.source import RasterInfo, bands_of
-from pcwlad_geo.raster.view import Patch, View, file_px_per_px
+from pcwlad_geo.raster import Patch, RasterInfo, View, ViewPair, Window, file_px_per_px
+from pcwlad_geo.raster.source import bands_of
 from pcwlad_geo.registration.starts.parameters import START, StartParameters
 from pcwlad_geo.registration.tiles import Scene
 from pcwlad_geo.types import Bool, Float32, Float64

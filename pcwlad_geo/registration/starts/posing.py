@@ -11,9 +11,8 @@ from affine import Affine
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.estimation.transforms import AffineTransform, ProjectiveTransform, affine_matrix
-from pcwlad_geo.raster.grid import Grid, TiltedGrid, map_px
-from pcwlad_geo.raster.matching_grid import ViewPair, plan_views
-from pcwlad_geo.raster.rpc.grid import RpcGrid
+from pcwlad_geo.raster import Grid, RpcGrid, ViewPair, map_px, plan_views
+from pcwlad_geo.raster.grid import TiltedGrid
 from pcwlad_geo.raster.source import is_huge
 from pcwlad_geo.registration.starts.alignment import Prealignment, StartingAlignment
 from pcwlad_geo.registration.starts.overviews import read_overviews

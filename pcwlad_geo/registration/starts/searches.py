@@ -18,8 +18,8 @@ from pcwlad_geo.matching.pose.proposal import PoseProposal
 from pcwlad_geo.matching.pose.search import search_pose
 from pcwlad_geo.matching.shift_search import SearchResult
 from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import ViewPair
 from pcwlad_geo.raster.cameras import expected_scale, guessed_scale
-from pcwlad_geo.raster.matching_grid import ViewPair
 from pcwlad_geo.registration.starts.alignment import Prealignment, StartingAlignment
 from pcwlad_geo.registration.starts.overviews import Overviews
 from pcwlad_geo.registration.starts.parameters import START, StartParameters

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.estimation.transforms import square
-from pcwlad_geo.raster.matching_grid import ViewPair
-from pcwlad_geo.raster.view import Patch
+from pcwlad_geo.raster import Patch, ViewPair
 from pcwlad_geo.registration.starts.alignment import StartingAlignment
 from pcwlad_geo.registration.starts.parameters import START, StartParameters
 from pcwlad_geo.registration.starts.posing import posed_start
