@@ -19,6 +19,7 @@ from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.pixels import valid_in_file, valid_in_mask_file
 from pcwlad_geo.raster.source import Fill, RasterInfo, bands_of
+from pcwlad_geo.raster.trust.file_kinds import NETWORK_DRIVERS
 from pcwlad_geo.types import Bool
 
 
@@ -95,9 +96,11 @@ def read_layers(
             for fill in fills:
                 good = [mask & fill.is_data(layer) for mask, layer in zip(good, read, strict=True)]
         except GDAL_ERRORS as error:
+            cause = "the file may be truncated or corrupt"
+            if dataset.driver in NETWORK_DRIVERS:
+                cause = "its server gives no pixels there: check the address and the network"
             raise InputError(
                 f"{parts[0].path}: {Bands(tuple(parts)).numbers} cannot be read at rows {window.row} to "
-                f"{window.row_stop}, columns {window.col} to {window.col_stop}: the file may be truncated or "
-                "corrupt"
+                f"{window.row_stop}, columns {window.col} to {window.col_stop}: {cause}"
             ) from error
         yield window, read, good

@@ -23,7 +23,12 @@ from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, reading
 from pcwlad_geo.raster.trust.checks import check_file, check_named_by
 from pcwlad_geo.raster.trust.destinations import Destination, destination, gdal_name
-from pcwlad_geo.raster.trust.file_kinds import NETWORK_DRIVERS, PLAIN_DRIVERS, drivers_for
+from pcwlad_geo.raster.trust.file_kinds import (
+    MARKS_OF_OTHERS,
+    NETWORK_DRIVERS,
+    PLAIN_DRIVERS,
+    drivers_for,
+)
 from pcwlad_geo.raster.trust.local_files import SIDECARS, Place, UntrustedFileError, place_of
 from pcwlad_geo.raster.trust.permissions import current_trust
 from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined
@@ -161,11 +166,17 @@ def _why_not_opened(uri: str, error: Exception) -> str:
             if not os.access(path, os.R_OK):
                 return f"{uri} cannot be read: change its permissions"
             reason, missing = joined(error), _missing_driver(path)
+            trust = current_trust()
+            if not (trust.vrt and trust.remote) and _names_others(path):
+                return (
+                    f"{uri} names other files or servers: give --trust-vrt, and --allow-remote for servers, "
+                    "if you trust whoever made it"
+                )
             if missing is not None:
                 return (
                     f"{uri} is of the format {missing}, for which this GDAL has no driver: convert it first"
                 )
-            if "not recognized" in reason and not current_trust().vrt:
+            if "not recognized" in reason and not trust.vrt:
                 reason += " (formats whose files name other files are read with --trust-vrt only)"
             return f"{uri} is not a raster that GDAL can read, or it is damaged: {reason}"
     except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
@@ -173,6 +184,13 @@ def _why_not_opened(uri: str, error: Exception) -> str:
     if is_uri(uri):
         return f"{uri} cannot be opened: {joined(error)}"
     return f"{uri} does not exist: check the path"
+
+
+def _names_others(path: Path) -> bool:
+    """Return whether a file is a description of tiles or servers, which GDAL opens where it may."""
+    with path.open("rb") as file:
+        head = file.read(1024)
+    return any(mark in head for mark in MARKS_OF_OTHERS)
 
 
 def _missing_driver(path: Path) -> str | None:

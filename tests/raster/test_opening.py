@@ -15,10 +15,12 @@ import rasterio
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.rpc.dem import open_dem
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust.permissions import Trust, current_trust, trusting
+from pcwlad_geo.raster.view import View
 from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.hostile_rasters import Server, raw_vrt, serving, vrt, wms
 from tests.scenes import make_grid, write
@@ -156,6 +158,21 @@ def test_no_server_is_asked(folder: Path, server: Server) -> None:
         with pytest.raises(InputError):
             read(name)
     assert server.requests() == []
+
+
+def test_a_tile_service_is_told_by_what_it_lacks(folder: Path) -> None:
+    """First by the permissions, then by the server, which is down."""
+    file = folder / "service.xml"
+    file.write_text(wms("http://127.0.0.1:9"), encoding="utf-8")
+    with (
+        pytest.raises(InputError, match="names other files or servers: give --trust-vrt"),
+        open_raster(str(file)),
+    ):
+        pass
+    with trusting(Trust(vrt=True, remote=True)):
+        info = describe(file)
+        with pytest.raises(InputError, match="its server gives no pixels there"):
+            View(info, info.grid, "none").read(Window(0, 0, 8, 8))
 
 
 def test_remote_rasters_that_the_user_allows(folder: Path, server: Server) -> None:

@@ -32,7 +32,7 @@ _SIGNATURES: Final = (
 )
 _CLASSIC_NETCDF: Final = (b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
-_MARKS_OF_OTHERS: Final = (b"<GDALTileIndexDataset", b"<GDAL_WMS", b"<MRF_META")
+MARKS_OF_OTHERS: Final = (b"<GDALTileIndexDataset", b"<GDAL_WMS", b"<MRF_META")
 """GDAL searches for these beyond the beginning too, so a file with them may be opened by another driver."""
 
 Kind = Literal["vrt", "classic netCDF", "HDF5", "signed", "other"]
@@ -46,7 +46,7 @@ def kind_of_head(head: bytes) -> Kind:
         return "classic netCDF"
     if _HDF5 in head:
         return "HDF5"
-    if head.startswith(_SIGNATURES) and not any(mark in head for mark in _MARKS_OF_OTHERS):
+    if head.startswith(_SIGNATURES) and not any(mark in head for mark in MARKS_OF_OTHERS):
         return "signed"
     return "other"
 
