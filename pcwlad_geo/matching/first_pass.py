@@ -18,7 +18,7 @@ from pcwlad_geo.matching.keypoints import OUTCOMES, Candidates
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair
 from pcwlad_geo.matching.refinement import InitialEstimate, Refined
-from pcwlad_geo.matching.rounds import suffice
+from pcwlad_geo.matching.rounds import are_hopeless, suffice
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -60,6 +60,8 @@ def match_candidates(
         agreeing = int(consistent_points(points, settings).sum()) if len(points) else 0
         if suffice(agreeing, len(candidates)):
             return points, replace(candidates, are_all=False)
+        if are_hopeless(agreeing, len(points)):
+            return points, candidates
     return _match_corners(pair, core, settings, also)
 
 

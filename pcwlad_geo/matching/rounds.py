@@ -22,6 +22,8 @@ class RoundParameters:
     """Least number of them that must give points that agree."""
     agreeing_share: float = 0.8
     """Least share of them that must do so."""
+    least_matched: int = 12
+    """Least number of their matches from which others are in vain where none of these agree."""
 
 
 ROUNDS: Final = RoundParameters()
@@ -49,3 +51,11 @@ def suffice(agreeing: int, candidates: int) -> bool:
     They do where most of them agree, in numbers that tell the window and the model of the correction.
     """
     return agreeing >= max(ROUNDS.least_agreeing, ROUNDS.agreeing_share * candidates)
+
+
+def are_hopeless(agreeing: int, matches: int) -> bool:
+    """Return whether the first candidates have matches, but none that agree, so that others are in vain.
+
+    They are spread over the whole area: of pairs that the verdict barely accepts, some 20 of them agree.
+    """
+    return agreeing == 0 and matches >= ROUNDS.least_matched

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching import AUTO_FEATURES
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.rounds import ROUNDS, in_rounds
+from pcwlad_geo.matching.rounds import ROUNDS, are_hopeless, in_rounds
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from tests.matching.landscape import Landscape, constant
 
@@ -20,8 +20,8 @@ ALL = replace(AUTO, features=AUTO_FEATURES)
 
 
 @cache
-def image(band: int, shift_xy: tuple[float, float] = (0.0, 0.0), seed: int = 21) -> NDArray:
-    result = Landscape(seed).image(SIDE, band, constant(*shift_xy))
+def image(band: int, shift_xy: tuple[float, float] = (0.0, 0.0), seed: int = 21, side: int = SIDE) -> NDArray:
+    result = Landscape(seed).image(side, band, constant(*shift_xy))
     result.flags.writeable = False
     return result
 
@@ -45,6 +45,21 @@ def test_where_they_disagree_all_are_matched_as_if_at_once() -> None:
     np.testing.assert_array_equal(rounds.reference_xy_px, at_once.reference_xy_px)
     np.testing.assert_array_equal(rounds.target_xy_px, at_once.target_xy_px)
     np.testing.assert_array_equal(rounds.covariance_px2, at_once.covariance_px2)
+
+
+def test_where_none_of_the_first_agree_no_others_are_matched() -> None:
+    other = Landscape(5).image(360, 0, constant(0.0, 0.0))
+    settings = replace(AUTO, search_radius=12, ssim_min=-1.0)
+    at_once = match_arrays(image(0, side=360), other, settings=replace(settings, features=AUTO_FEATURES))
+    assert len(at_once) > 0  # by chance
+    assert len(match_arrays(image(0, side=360), other, settings=settings)) == 0
+
+
+@pytest.mark.parametrize(("agreeing", "matches", "hopeless"), [(0, 12, True), (0, 11, False), (3, 50, False)])
+def test_others_are_in_vain_where_enough_are_matched_and_none_agree(
+    agreeing: int, matches: int, hopeless: bool
+) -> None:
+    assert are_hopeless(agreeing, matches) == hopeless
 
 
 @pytest.mark.parametrize(
