@@ -160,3 +160,13 @@ def test_wrong_matches_beyond_the_points_say_nothing_of_a_curved_correction() ->
     expected = expected_ce90(selection, alone, places, WINDOW_PX)
     assert expected < 3.0
     assert expected_ce90(selection, among_wrong, places, WINDOW_PX) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_larger_common_error_is_expected_to_show() -> None:
+    xy = points()
+    moved = np.array([1.5, -0.5]) + noise(len(xy))
+    selection = fitted(xy, moved, "shift")
+    residuals = residuals_of(selection, xy, moved)
+    larger = replace(EXPECTED_ERROR, least_common_px=0.5)
+    expected = expected_ce90(selection, residuals, grid(), WINDOW_PX, parameters=larger)
+    assert expected == pytest.approx(2.146 * 0.5, rel=0.1)

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.agreement import agreement
+from pcwlad_geo.correction.agreement import AGREEMENT, agreement
 
 RNG = np.random.default_rng(11)
 
@@ -72,3 +74,10 @@ def test_few_points_are_believed() -> None:
     found = agreement(RNG.uniform(0, 500, (5, 2)), RNG.uniform(0, 500, (5, 2)))
     assert found.consistent.all()
     assert np.isnan(found.sigma_px)
+
+
+def test_the_limit_follows_its_parameters() -> None:
+    predicted = RNG.uniform(0, 1000, (200, 2))
+    observed = predicted + RNG.normal(0, 0.1, (200, 2))
+    strict = agreement(predicted, observed, parameters=replace(AGREEMENT, scatters=1.5))
+    assert strict.consistent.sum() < agreement(predicted, observed).consistent.sum()

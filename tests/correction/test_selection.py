@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -327,3 +328,11 @@ def test_a_trend_that_is_known_changes_no_fit(name: str) -> None:
     alone, from_trend = MODELS[name].fit(*given), MODELS[name].fit(*given, trend=Trend.of(*given))
     moved = [each.correction.forward(points) for each in (alone, from_trend)]
     np.testing.assert_array_equal(*moved)
+
+
+def test_a_larger_least_gain_keeps_the_simpler_model() -> None:
+    predicted = scattered(0, 200)
+    observed = affine(2.0).forward(predicted) + noise(0, 200, 0.1)
+    points = (predicted, observed, isotropic(200, 0.1), 81, SIMPLE)
+    assert choose(*points).name == "affine"
+    assert choose(*points, parameters=replace(SELECTION, min_gain_px=5.0)).name == "shift"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pcwlad_geo.estimation.robust import ROBUST, axis_sigma, biweight, huber, sigma_of, unit_sigma
+from pcwlad_geo.estimation.robust import ROBUST, axis_sigma, biweight, huber, jackknife, sigma_of, unit_sigma
 
 
 def test_scales_are_standard_deviations() -> None:
@@ -22,3 +24,9 @@ def test_weights_fall_beyond_a_limit_or_up_to_it() -> None:
     np.testing.assert_allclose(huber(np.array([0.5, 2.0, 4.0]), 2.0), [1.0, 1.0, 0.5])
     squared = np.array([0.0, 0.5, 1.0, 4.0]) * ROBUST.rejection_sigma**2
     np.testing.assert_allclose(biweight(squared), [1.0, 0.25, 0.0, 0.0])
+
+
+def test_a_jackknife_of_blocks_that_err_alike_is_wider() -> None:
+    estimates = np.random.default_rng(1).normal(size=(8, 2))
+    independent = jackknife(estimates, replace(ROBUST, block_correlation=1.0))
+    np.testing.assert_allclose(jackknife(estimates), ROBUST.block_correlation * independent)
