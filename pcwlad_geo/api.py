@@ -35,7 +35,15 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-OF_THE_FOLDER: Final = ("require", "keep", "pdf", "no_report", "write_sigma", "write_displacement")
+OF_THE_FOLDER: Final = (
+    "require",
+    "keep",
+    "pdf",
+    "no_report",
+    "write_sigma",
+    "write_displacement",
+    "write_proj_grid",
+)
 """Options about the files of `register` alone."""
 
 

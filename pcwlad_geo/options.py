@@ -336,6 +336,10 @@ class Settings:
     write_displacement: bool = option(
         False, "Write the displacement field, its sigma and quality as a raster too.", _REGISTER
     )
+    write_proj_grid: bool = option(
+        False, "Write the correction as a grid of offsets that PROJ takes too.", _REGISTER
+    )
+    """Moves any layer that was drawn on the target, by ``gdalwarp -ct``, ``ogr2ogr -ct``, ``cct`` or QGIS."""
     displacement_spacing: int | None = option(
         None,
         "Pixel of the displacement field, reference px; auto: a quarter of the window.",
@@ -547,6 +551,7 @@ class PairOptions(TypedDict, total=False):
     resampling: Resampling
     write_sigma: bool
     write_displacement: bool
+    write_proj_grid: bool
     displacement_spacing: int | None
     displacement_unit: DisplacementUnit
     prove: Literal["off", "quick", "full"]

@@ -13,6 +13,7 @@ from pcwlad_geo.events import EventCallback
 from pcwlad_geo.outputs.bands import BandOutput, correction_of, orthorectify_band, warp_band
 from pcwlad_geo.outputs.displacement_raster import write_displacement
 from pcwlad_geo.outputs.map_raster import write_sigma
+from pcwlad_geo.outputs.proj_grid import write_proj_grid
 from pcwlad_geo.raster import Grid, OutputFormat, RpcModel, vrt
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.planning import ground_grid
@@ -116,6 +117,14 @@ def _rpc_text(job: Writing, path: Path) -> None:
     write_rpc_text(_corrected_rpc(job.registration), path)
 
 
+def _proj_grid(job: Writing, path: Path) -> None:
+    write_proj_grid(path, correction_of(job.registration), job.registration.target.grid)
+
+
+def _inverse_proj_grid(job: Writing, path: Path) -> None:
+    write_proj_grid(path, correction_of(job.registration), job.registration.target.grid, is_inverse=True)
+
+
 def _in_geotransform(registration: Registration) -> bool:
     is_affine = isinstance(registration.correction, AffineCorrection)
     return registration.rpc is None and is_affine and registration.target.georeferenced
@@ -134,6 +143,7 @@ _SIGMA: Final = Condition("with `--write-sigma`", lambda job: job.settings.write
 _FIELD: Final = Condition(
     "with `--write-displacement`", lambda job: job.settings.write_displacement, corrected=True
 )
+_GRID: Final = Condition("with `--write-proj-grid`", lambda job: job.settings.write_proj_grid, corrected=True)
 OUTPUTS: Final = (
     Output("numbers", "report.json", _ALWAYS, "the report for programs, as report.schema.json describes it"),
     Output("report", "report.html", _PAGE, "the report: verdict, views, figures, statistics, advice"),
@@ -157,6 +167,14 @@ OUTPUTS: Final = (
         _FIELD,
         "the displacement field, its sigma and quality",
         lambda job, path: write_displacement(path, job.registration),
+    ),
+    Output("proj_grid", "{stem}_proj.tif", _GRID, "the correction as a grid of offsets for PROJ", _proj_grid),
+    Output(
+        "inverse_proj_grid",
+        "{stem}_proj_inverse.tif",
+        _GRID,
+        "the same from where places belong, to warp rasters",
+        _inverse_proj_grid,
     ),
 )
 """The files that a job may write, besides those in formats of tie points and the other bands of a product."""

@@ -88,6 +88,9 @@ def prepare_inputs(
         )
         for warning in (*notes, *reference_warnings, *warnings):
             log.warn(warning)
+        if settings.write_proj_grid and (tgt.grid.crs is None or placement is not None):
+            what = "no CRS" if tgt.grid.crs is None else "RPCs, whose correction depends on the height"
+            raise InputError(f"the target has {what}: leave out --write-proj-grid")
         if settings.write_displacement and settings.displacement_unit == "m" and ref.grid.crs is None:
             raise InputError(
                 "the reference has no CRS, so that a displacement in metres is not known: leave out "
