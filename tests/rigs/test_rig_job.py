@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.raster.gdal import ignoring
+from pcwlad_geo.rigs import applying_run
+from pcwlad_geo.rigs.parameters import CAPTURE
 from tests.rigs import rigs
 from tests.scenes import write as write_raster
 
@@ -132,7 +135,10 @@ def test_captures_of_all_parts_of_a_long_flight_are_corrected(
     known: pg.Rig, frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The summary that is written after each part leaves the rasters of the next a place."""
-    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.available_cores", lambda: 1 / 16)
+    monkeypatch.setattr("pcwlad_geo.rigs.applying_run.available_cores", lambda: 1)
+    one_by_one = replace(CAPTURE, captures_a_core=1)
+    applied = partial(applying_run._apply, parameters=one_by_one)
+    monkeypatch.setattr(applying_run, "_apply", applied)
     good = [file for name in GOOD for file in sorted(frames.glob(f"{name}_*"))]
     found = pg.rig_apply(known, good, out_dir=tmp_path, executor=InThisProcess())
     assert found.count("corrected") == len(GOOD) > 1
