@@ -88,14 +88,7 @@ def prepare_inputs(
         )
         for warning in (*notes, *reference_warnings, *warnings):
             log.warn(warning)
-        if settings.write_proj_grid and (tgt.grid.crs is None or placement is not None):
-            what = "no CRS" if tgt.grid.crs is None else "RPCs, whose correction depends on the height"
-            raise InputError(f"the target has {what}: leave out --write-proj-grid")
-        if settings.write_displacement and settings.displacement_unit == "m" and ref.grid.crs is None:
-            raise InputError(
-                "the reference has no CRS, so that a displacement in metres is not known: leave out "
-                "--displacement-unit m, or give the reference a CRS (gdal_edit.py -a_srs)"
-            )
+        _check_outputs(settings, ref, tgt, has_rpc=placement is not None)
         views = plan_rpc_views(ref, tgt) if placement or reference_by_rpc else plan_views(ref, tgt)
         views = limited_to_overlap(limited(views, settings.extent) if settings.extent else views)
         for warning in views.warnings:
@@ -123,6 +116,18 @@ def _described(
     pixels = BandPixels(describe(uri, band=bands.first, mask=mask, part=True))
     info, notes = without_undeclared(pixels.info, pixels)
     return replace(with_bands(with_compression_blocks(info), bands), content=content), notes, pixels
+
+
+def _check_outputs(settings: Settings, ref: RasterInfo, tgt: RasterInfo, *, has_rpc: bool) -> None:
+    """Raise `InputError` if an output that is asked for is not defined for a pair."""
+    if settings.write_proj_grid and (tgt.grid.crs is None or has_rpc):
+        what = "no CRS" if tgt.grid.crs is None else "RPCs, whose correction depends on the height"
+        raise InputError(f"the target has {what}: leave out --write-proj-grid")
+    if settings.write_displacement and settings.displacement_unit == "m" and ref.grid.crs is None:
+        raise InputError(
+            "the reference has no CRS, so that a displacement in metres is not known: leave out "
+            "--displacement-unit m, or give the reference a CRS (gdal_edit.py -a_srs)"
+        )
 
 
 def _camera_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:
