@@ -258,7 +258,6 @@ STAGES = {
     "images": mark("Rasters"),
     "rasters": mark("Rasters"),
     "captures": mark("Captures"),
-    "vectors": mark("Vectors"),
     "writing": mark("Writing"),
     "warping": mark("Warping"),
     "vectors": mark("Vectors"),

@@ -1104,10 +1104,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Aufnahmen</translation>
     </message>
     <message>
-      <source>Vectors</source>
-      <translation>Vektoren</translation>
-    </message>
-    <message>
       <source>Writing</source>
       <translation>Schreiben</translation>
     </message>
