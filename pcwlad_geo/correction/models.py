@@ -27,7 +27,7 @@ class Correction(ABC):
     """The model, a key of `fit.MODELS`; of a composition those of its steps."""
 
     @property
-    def transform(self) -> ProjectiveTransform | None:
+    def _transform(self) -> ProjectiveTransform | None:
         """The mapping without its name, if a matrix describes it; None for other mappings."""
         return None
 
@@ -56,8 +56,8 @@ class Correction(ABC):
         return Composition(self.name, ((self, True),))
 
     def __matmul__(self, first: Correction) -> Correction:
-        if self.transform is not None and first.transform is not None:
-            transform = self.transform @ first.transform
+        if self._transform is not None and first._transform is not None:
+            transform = self._transform @ first._transform
             if isinstance(transform, AffineTransform):
                 return AffineCorrection(self.name if self.name == first.name else "affine", transform.rows)
             return ProjectiveCorrection("projective", transform.matrix)
@@ -89,11 +89,11 @@ class Correction(ABC):
 
         to_corner = AffineCorrection("shift", np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5]]))
         centred = to_corner.invert() @ self @ to_corner
-        if centred.transform is None:
+        if centred._transform is None:
             return CallableTransform(centred)
         affine = isinstance(centred, AffineCorrection)
         kind = skimage.transform.AffineTransform if affine else skimage.transform.ProjectiveTransform
-        return kind(matrix=centred.transform.matrix)
+        return kind(matrix=centred._transform.matrix)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,29 +173,29 @@ class AffineCorrection(Correction):
         return cls("affine", AffineTransform.fit(predicted_px, observed_px).rows)
 
     @property
-    def transform(self) -> AffineTransform:
+    def _transform(self) -> AffineTransform:
         """The mapping without its name."""
         return AffineTransform.from_rows(self.matrix)
 
     def forward(self, predicted_px: Float64) -> Float64:
         """Map the (n, 2) `predicted_px` to observed target pixels (col, row)."""
-        return self.transform(predicted_px)
+        return self._transform(predicted_px)
 
     def inverse(self, observed_px: Float64) -> Float64:
         """Map the (n, 2) `observed_px` to predicted target pixels (col, row)."""
-        return self.transform.apply_inverse(observed_px)
+        return self._transform.apply_inverse(observed_px)
 
     def invert(self) -> AffineCorrection:
         """Return the affine that maps observed to predicted pixels."""
-        return AffineCorrection(self.name, self.transform.inverse().rows)
+        return AffineCorrection(self.name, self._transform.inverse().rows)
 
     def to_gdal(self) -> tuple[float, float, float, float, float, float]:
         """Return the geotransform, in GDAL's order, that places observed at predicted pixels."""
-        (a, b, c), (d, e, f) = self.transform.inverse().rows.tolist()
+        (a, b, c), (d, e, f) = self._transform.inverse().rows.tolist()
         return c, a, b, f, d, e
 
     def _parameters(self) -> dict[str, object]:
-        return self.transform.to_dict()
+        return self._transform.to_dict()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,24 +206,24 @@ class ProjectiveCorrection(Correction):
     """(3, 3), of positive w where the tie points are."""
 
     @property
-    def transform(self) -> ProjectiveTransform:
+    def _transform(self) -> ProjectiveTransform:
         """The mapping without its name."""
         return ProjectiveTransform(self.matrix)
 
     def forward(self, predicted_px: Float64) -> Float64:
         """Map the (n, 2) `predicted_px` to observed target pixels; NaN beyond the horizon."""
-        return self.transform(predicted_px)
+        return self._transform(predicted_px)
 
     def inverse(self, observed_px: Float64) -> Float64:
         """Map the (n, 2) `observed_px` to predicted target pixels; NaN beyond the horizon."""
-        return self.transform.apply_inverse(observed_px)
+        return self._transform.apply_inverse(observed_px)
 
     def invert(self) -> ProjectiveCorrection:
         """Return the projective that maps observed to predicted pixels."""
-        return ProjectiveCorrection(self.name, self.transform.inverse().matrix)
+        return ProjectiveCorrection(self.name, self._transform.inverse().matrix)
 
     def _parameters(self) -> dict[str, object]:
-        return self.transform.to_dict()
+        return self._transform.to_dict()
 
 
 def has_foldover(correction: Correction, low_px: Float64, high_px: Float64) -> bool:
