@@ -19,8 +19,9 @@ from pcwlad_geo.raster import Grid
 from pcwlad_geo.types import Float64
 
 DEGREE_BANDS: Final = ("latitude_offset", "longitude_offset")
+"""Names that PROJ knows for the bands of a grid in degrees; latitudes come first."""
 MAP_BANDS: Final = ("easting_offset", "northing_offset")
-"""Names that PROJ knows for the bands of a grid in degrees and in metres; latitudes come first."""
+"""Those of a grid in the units of a projected CRS."""
 
 
 @dataclass(frozen=True, slots=True)
