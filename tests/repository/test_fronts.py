@@ -69,8 +69,6 @@ OF_THE_ROOM = {
     "registration": ("pcwlad_geo/registration", "tests/registration"),
     "raster": ("pcwlad_geo/raster", "tests/raster"),
 }
-LATER: dict[str, tuple[str, ...]] = {"raster": ("pcwlad_geo/multi/qa/run.py",)}
-"""These import names of the front from inner modules, too."""
 
 
 @cache
@@ -108,9 +106,7 @@ def inner_uses(room: str) -> Iterator[tuple[str, str]]:
 def test_code_outside_uses_the_front_of_a_room(room: str) -> None:
     front, inner = front_of(room), set(STILL_INNER[room].split())
     uses = sorted(inner_uses(room))
-    assert [
-        (file, name) for file, name in uses if name in front and not file.startswith(LATER.get(room, ()))
-    ] == []
+    assert [(file, name) for file, name in uses if name in front] == []
     assert [(file, name) for file, name in uses if name not in front | inner] == [], "use the front"
 
 

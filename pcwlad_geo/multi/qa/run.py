@@ -235,7 +235,7 @@ def _measure(
 
 def _why_unreadable(band: Band) -> str | None:
     """Return why a band cannot be read; None if a part of it can."""
-    from pcwlad_geo.raster.view import View  # slow to load
+    from pcwlad_geo.raster import View  # slow to load
 
     try:
         View(band.info, band.info.grid, "none").read_decimated(256)
