@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypedDict, TypeVar, cast, get_args, get_
 from pcwlad_geo.arguments import described, fits, shown
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import LIMITS
-from pcwlad_geo.matching import AUTO_FEATURES, Consensus, Keypoints, Method
+from pcwlad_geo.matching import Consensus, Keypoints, Method
 from pcwlad_geo.raster import Trust
 
 Model = Literal[
@@ -412,11 +412,6 @@ class Settings:
             _check(name, getattr(self, name))
         object.__setattr__(self, "require", _texts("require", self.require))
         _check_together(self)
-
-    @property
-    def candidates(self) -> int:
-        """Number of candidates a tile where all are matched."""
-        return AUTO_FEATURES if self.features is None else self.features
 
     @property
     def trust(self) -> Trust:

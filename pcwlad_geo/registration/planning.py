@@ -14,7 +14,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from pcwlad_geo.matching import MatchSettings
+from pcwlad_geo.matching import AUTO_FEATURES, MatchSettings
 from pcwlad_geo.matching.gaps import fill_smoothly, narrow_gaps
 from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
@@ -295,7 +295,7 @@ def plan(
     )
     wanted = 1000 if settings.points is None else settings.points
     candidates = parameters.point_candidates * wanted if isinstance(wanted, int) else np.inf
-    densest = settings.candidates / min(area, parameters.feature_area_px**2)
+    densest = (settings.features or AUTO_FEATURES) / min(area, parameters.feature_area_px**2)
     if wanted == "dense":
         base = replace(base, settings=replace(matching, per_cell=1))
         densest = (4 / matching.window) ** 2  # four along the side of a window

@@ -24,6 +24,7 @@ from pcwlad_geo.correction.proof_result import (
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.events import JobLog, Progress
+from pcwlad_geo.matching import AUTO_FEATURES
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Patch, Window
 from pcwlad_geo.raster.arrays import Raster, Scratch
@@ -106,7 +107,7 @@ def _part(matches: Matches, register: Register, parameters: ProofParameters) -> 
     col, row = (cells[counts.argmax()] * side).tolist()
     window = Window(region.row + row, region.col + col, side, side).intersection(region)
     model = "auto" if settings.model == "rpc" else settings.model
-    features = min(settings.candidates, 256)  # as dense as in a tile
+    features = min(settings.features or AUTO_FEATURES, 256)  # as dense as in a tile
     inherited = {name: getattr(settings, name) for name in INHERITED_SETTINGS}
     settings = Settings(**inherited, model=model, features=features)
     reference, false_px = _with_nan(job.reference.read(window)), parameters.false_match_px

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pcwlad_geo.matching import AUTO_FEATURES
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.raster import middle_pixel_size_m
 from pcwlad_geo.registration.decision import with_doubts
@@ -105,7 +106,7 @@ def reach_all_ground(scene: SceneMatches, start: StartingAlignment, context: Sce
     between = start_at(start, middle_px, ground.distance_px, separately=False, parameters=by)
     if between is not None and may_move(context.settings):
         if not scene.first_only:  # else fewer candidates might give fewer points of more ground
-            settings = replace(context.settings, features=context.settings.candidates)
+            settings = replace(context.settings, features=context.settings.features or AUTO_FEATURES)
             context = replace(context, settings=settings)
         whole = match_scene(between, context)
         more = whole.consistent.sum() > consistent.sum()

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from pcwlad_geo.matching import Scales, TiePoints
+from pcwlad_geo.matching import AUTO_FEATURES, Scales, TiePoints
 from pcwlad_geo.matching.epipolar import EPIPOLAR, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.registration.decision import Decision, Evidence
@@ -79,7 +79,7 @@ def match_scene(start: StartingAlignment, context: SceneContext) -> SceneMatches
     """
     scene, by = _match_with_windows(start, context), context.parameters
     if scene.first_only and (not scene.decision.accepted or len(scene.motions) > 1 or scene.patches):
-        context = context.with_settings(features=context.settings.candidates)
+        context = context.with_settings(features=context.settings.features or AUTO_FEATURES)
         scene = _match_with_windows(start, context)
     settings, latest = context.settings, scene
     while settings.window is None and latest.needs_smaller_windows and latest.window_px > by.least_window_px:

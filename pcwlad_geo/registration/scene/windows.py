@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.matching import MatchSettings
+from pcwlad_geo.matching import AUTO_FEATURES, MatchSettings
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX, LARGE_WINDOWS_PX, OTHER_WINDOWS_PX, TRAITS
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import ViewPair
@@ -41,7 +41,7 @@ def match_settings(
     others = _other_windows(settings, window, narrow, by)
     return MatchSettings(
         method=settings.method,
-        features=settings.features if settings.points is None else settings.candidates,
+        features=settings.features if settings.points is None else settings.features or AUTO_FEATURES,
         keypoints=settings.keypoints,
         features_area_px2=float(max((rows - margin) * (cols - margin), 1)),
         template=template,
