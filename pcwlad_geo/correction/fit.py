@@ -260,8 +260,8 @@ def _polynomial(
     name: str, words: str, order: int, terms: tuple[int, ...] = (), *, automatic: bool = True
 ) -> ModelFamily:
     fit = partial(fit_polynomial, name=name, order=order, columns=terms or None)
-    held = automatic and bool(terms)
-    return ModelFamily(fit, words, order if automatic else None, terms, automatic, held)
+    in_geotransform = automatic and bool(terms)
+    return ModelFamily(fit, words, order if automatic else None, terms, automatic, in_geotransform)
 
 
 MODELS: Final[Mapping[str, ModelFamily]] = MappingProxyType(

@@ -35,12 +35,12 @@ class Move:
         angle = np.deg2rad(self.rotation_deg)
         cos, sin = np.cos(angle) * self.scale, np.sin(angle) * self.scale
         col, row = (xy_px - centre_px).T
-        found = np.column_stack([cos * col - sin * row, sin * col + cos * row])
+        source_px = np.column_stack([cos * col - sin * row, sin * col + cos * row])
         if self.amplitude_px:
             turn = 2 * np.pi / self.wavelength_px
-            found[:, 0] -= self.amplitude_px * np.sin(turn * 0.7 * (col + row) + 0.9)
-            found[:, 1] -= self.amplitude_px * np.sin(turn * (0.9 * col - 0.45 * row) + 2.4)
-        return np.asarray(found + centre_px - self.shift_px, np.float64)
+            source_px[:, 0] -= self.amplitude_px * np.sin(turn * 0.7 * (col + row) + 0.9)
+            source_px[:, 1] -= self.amplitude_px * np.sin(turn * (0.9 * col - 0.45 * row) + 2.4)
+        return np.asarray(source_px + centre_px - self.shift_px, np.float64)
 
 
 @dataclass(frozen=True, slots=True)
