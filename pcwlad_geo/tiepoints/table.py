@@ -12,7 +12,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import TiePoints
-from pcwlad_geo.raster import RasterInfo, ViewPair, at_mean_height, jacobian, map_px
+from pcwlad_geo.raster import Grid, RasterInfo, RpcGrid, ViewPair, at_mean_height, jacobian, map_px
 from pcwlad_geo.raster.grid import metres_between
 from pcwlad_geo.text import html_table
 from pcwlad_geo.types import Bool, Float64, Index
@@ -207,7 +207,7 @@ def place(
     of the latter and the (n,) `score`, match quality from 0 to 1. The status is ``matched``, residuals are
     NaN.
     """
-    predicted_px = predict_target_px(reference_px, pair)
+    predicted_px = _in_turn(predict_target_px(reference_px, pair), target_px, pair.target.info.grid)
     count = len(score)
     return TiePointTable(
         reference_px=reference_px,
@@ -221,6 +221,15 @@ def place(
         status=np.full(count, "matched", dtype="<U8"),
         crs=pair.reference.info.grid.crs,
     )
+
+
+def _in_turn(predicted_px: Float64, target_px: Float64, grid: Grid | RpcGrid) -> Float64:
+    """Return (n, 2) predicted px, whole turns around the earth added, nearest the (n, 2) `target_px`."""
+    turn_px = grid.turn_px if isinstance(grid, Grid) else None
+    if turn_px is None:
+        return predicted_px
+    turns = np.rint((target_px - predicted_px) @ turn_px / (turn_px @ turn_px))
+    return np.asarray(predicted_px + np.where(np.isfinite(turns), turns, 0.0)[:, None] * turn_px)
 
 
 def predict_target_px(reference_px: Float64, pair: ViewPair) -> Float64:

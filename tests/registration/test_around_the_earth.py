@@ -123,6 +123,15 @@ def written(scene: str, reference: str, target: str, folder: Path) -> tuple[Path
     return rasters[reference].write(folder), rasters[target].write(folder / "moved", SHIFT_PX)
 
 
+def test_points_at_the_edge_of_a_whole_turn_lie_beside_where_they_are_predicted(tmp_path: Path) -> None:
+    """Just beyond 0 degrees the target, which begins there, predicts its last column."""
+    files = written("the earth, 40 km", "3832", "lonlat 0 to 360", tmp_path)
+    points = register_pair(*files, SETTINGS, match_only=True).tie_points.select("matched")
+    np.testing.assert_allclose(
+        points.target_px - points.predicted_px, np.tile(SHIFT_PX, (len(points), 1)), atol=0.3
+    )
+
+
 POLE, FAR = "north pole, 25 km", "180 degrees, 52 N, 100 m"
 
 
