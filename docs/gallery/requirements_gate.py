@@ -7,6 +7,7 @@ from scene import ORANGE, panels, save, write_band
 
 import pcwlad_geo
 
+LIMITS = ["coverage>=0.9", "CE90<=0.5px"]
 with tempfile.TemporaryDirectory() as folder:
     red = write_band(f"{folder}/red.tif")
     done = {}
@@ -14,7 +15,7 @@ with tempfile.TemporaryDirectory() as folder:
         thermal = write_band(f"{folder}/{name}.tif", "thermal", shift_px=(1.4, -0.8), clouds=clouds)
         out = Path(folder) / f"{name} out"
         try:
-            result = pcwlad_geo.register(red, thermal, require=["coverage>=0.9", "CE90<=0.5px"], out_dir=out)
+            result = pcwlad_geo.register(red, thermal, require=LIMITS, features=1000, out_dir=out)
         except pcwlad_geo.RequirementError as error:
             result = error.registration
         raster = list(out.glob("*_registered.tif"))
