@@ -136,7 +136,7 @@ def band_of(band: int, seed: int, shift_px: tuple[float, float]) -> Array:
     """Return what a band shows, 0 to 1: red (0) or thermal (1), displaced (col, row) with a slight wave."""
     centres = (np.arange(SIDE_PX * SAMPLES) + 0.5) / SAMPLES
     col, row = np.meshgrid(centres, centres)
-    wave = 0.3 * np.sin(2 * np.pi * (col + row) / 800.0) if any(shift_px) else 0.0
+    wave = 0.1 * np.sin(2 * np.pi * (col + row) / 800.0) if any(shift_px) else 0.0
     seen = ground((col - shift_px[0] - wave) * PIXEL_M, -(row - shift_px[1] + wave) * PIXEL_M, seed)
     values = np.asarray(seen.red if band == 0 else seen.thermal, dtype=np.float64)
     values = values.reshape(SIDE_PX, SAMPLES, SIDE_PX, SAMPLES).mean(axis=(1, 3))

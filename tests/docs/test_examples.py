@@ -16,7 +16,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 @pytest.mark.parametrize(
     ("name", "headline", "says"),
     [
-        ("good", "✓ Registered", "Tie points cover the whole common area"),
+        ("good", "✓ Registered", "Yes: it is counted at 30 check points"),
         ("cloudy", "✓ Registered", "of the image has no tie point near"),
         ("wrong_search_radius", "✗ Could not be registered reliably", "raise --search-radius"),
         ("unrelated", "✗ Could not be registered reliably", "no better than chance"),
