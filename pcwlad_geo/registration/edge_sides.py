@@ -27,6 +27,8 @@ class EdgeParameters:
     """Largest side of the part that is looked at, around the middle of the tie points."""
     gradient_sigma_px: float = 1.0
     """Sigma of the smoothing before the gradient."""
+    margin_px: int = 60
+    """Width around the tie points that counts, too: less than matching reads around its candidates."""
     surroundings_px: int = 15
     """Side of the surroundings by whose contrast a gradient is divided."""
     reach_px: int = 2
@@ -65,6 +67,8 @@ def shared_errors(
     window = Window(row - half, col - half, parameters.side_px, parameters.side_px).clipped(
         pair.reference.grid.shape
     )
+    box = Window.around(points.reference_xy_px.min(axis=0), points.reference_xy_px.max(axis=0))
+    window = window.intersection(box.padded(parameters.margin_px))
     shift_px = np.round(np.median(points.displacement_px, axis=0)).astype(int).tolist()
     reference = pair.reference.read(window)
     target = _on_reference(pair.target.read(window.moved(shift_px[1], shift_px[0])), window, shift_px, points)

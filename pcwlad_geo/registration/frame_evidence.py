@@ -160,6 +160,7 @@ def frame_evidence(
     reference_px: Float64,
     target_px: Float64,
     parameters: FrameParameters = FrameParameters(),
+    within: Window | None = None,
 ) -> FrameEvidence | None:
     """Return what speaks for the ground of a pair whose tie points lie on about the same pixels of both.
 
@@ -172,6 +173,8 @@ def frame_evidence(
         The files.
     reference_px, target_px : (n, 2) arrays
         Tie points (col, row), px of the files.
+    within : Window, optional
+        The part of both files that may be read; by default all.
     """
     rpc = isinstance(reference.grid, RpcGrid) or isinstance(target.grid, RpcGrid)
     if rpc or reference.grid.shape != target.grid.shape or len(reference_px) == 0:
@@ -185,7 +188,7 @@ def frame_evidence(
         return None
     with suppress(InputError):
         (one, valid_in_one), (other, valid_in_other) = (
-            _middle_of(info, parameters) for info in (reference, target)
+            _middle_of(info, parameters, within) for info in (reference, target)
         )
         valid = valid_in_one & valid_in_other
         for end in (np.min, np.max):  # text and marks burnt in are as dark or bright as can be
@@ -210,10 +213,12 @@ def frame_evidence(
     return None
 
 
-def _middle_of(info: RasterInfo, parameters: FrameParameters) -> tuple[Float32, Bool]:
+def _middle_of(info: RasterInfo, parameters: FrameParameters, within: Window | None) -> tuple[Float32, Bool]:
     """Return the (rows, cols) values and validity of the middle of a file, the invalid ones as the median."""
     rows, cols = (min(n, parameters.largest_px) for n in info.grid.shape)
     window = Window((info.grid.shape[0] - rows) // 2, (info.grid.shape[1] - cols) // 2, rows, cols)
+    if within is not None:
+        window = window.intersection(within)
     patch = View(info, info.grid, "none").read(window)
     values = patch.values.astype(np.float32)
     if patch.valid.any():
@@ -385,7 +390,7 @@ def _near_rival(
     Smoothing takes most of it out, and what whole rows and columns have. The rest correlates where the
     ground lies.
     """
-    if not _has_common_pattern(one, other, valid, parameters.fine_z):
+    if not valid.any() or not _has_common_pattern(one, other, valid, parameters.fine_z):
         return None
     first, second = (scipy.fft.rfft2(_structure(values, valid, parameters)) for values in (one, other))
     surface = scipy.fft.irfft2((np.conj(first) * second).sum(axis=0), one.shape)

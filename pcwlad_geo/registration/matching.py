@@ -15,7 +15,7 @@ from pcwlad_geo.execution.runner import Runner, one_library_thread
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.clusters import contradicted_clusters
 from pcwlad_geo.matching.types import FIRST_WINDOW_PX
-from pcwlad_geo.raster import ViewPair, file_px_per_px
+from pcwlad_geo.raster import ViewPair, Window, file_px_per_px
 from pcwlad_geo.registration.decision import Decision, with_doubts
 from pcwlad_geo.registration.edge_sides import shared_errors
 from pcwlad_geo.registration.frame_evidence import frame_evidence
@@ -52,6 +52,8 @@ class PairParameters:
     """Least ratio of the displacement along the epipolar lines to that across them, where none can be."""
     parallax_px: float = 0.5
     """Least parallax, RMS, target px."""
+    context_px: int = 60
+    """Width around the tie points that is looked at besides, px: less than matching reads around them."""
     light_px: float = 0.12
     """Half of the distance between edges and grey values that is warned of, target px."""
     jitter_px: float = 0.05
@@ -101,7 +103,13 @@ def _with_frame_evidence(
     pair, points = matches.pair, matches.tie_points.select("matched")
     evidence = None
     if matches.accepted:
-        evidence = frame_evidence(pair.reference, pair.target, points.reference_px, points.target_px)
+        within = None
+        if pair.settings.extent is not None and len(points):  # nothing beyond it is read
+            low_px, high_px = points.reference_px.min(axis=0), points.reference_px.max(axis=0)
+            within = Window.around(low_px, high_px).padded(parameters.context_px)
+        evidence = frame_evidence(
+            pair.reference, pair.target, points.reference_px, points.target_px, within=within
+        )
     if evidence is None or evidence.doubt is None:
         return matches
     from_file = pair.settings.tie_points is not None

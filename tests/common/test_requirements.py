@@ -63,7 +63,7 @@ def test_reads_what_users_write(text: str, expected: Requirement) -> None:
         (
             "model=quadratic",
             "register",
-            "model is one of shift, drift, affine, projective, polynomial, jitter, tps, field",
+            "model is one of shift, drift, rigid, similarity, affine, projective, polynomial, jitter, tps, ",
         ),
         ("net sigma<=1px", "register", "there is no net sigma"),
         ("fit points>=9", "register", "'fit' cannot stand before points"),
