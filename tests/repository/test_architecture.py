@@ -55,6 +55,38 @@ def test_functions_are_short(module: str) -> None:
             assert lines <= MAX_BODY_LINES, node.name
 
 
+MAX_LINES = 450
+LONG = {"pcwlad_geo.options": "the options of a job are one list: texts, limits and types in one place"}
+"""Modules that may be longer, and why; no more than 13."""
+MAX_BLOCKS = 2
+"""Of constants: those that a module begins with, and those made of what it defines below."""
+
+
+@pytest.mark.parametrize("module", SOURCES)
+def test_a_module_has_few_lines_and_few_blocks_of_constants(module: str) -> None:
+    text = SOURCES[module].read_text(encoding="utf-8")
+    assert (text.count("\n") > MAX_LINES) == (module in LONG)
+    assert blocks_of_constants(ast.parse(text)) <= MAX_BLOCKS
+    assert len(LONG) <= 13
+
+
+def blocks_of_constants(tree: ast.Module) -> int:
+    """Return the number of groups of constants between the functions and classes of a module."""
+    blocks, is_inside = 0, False
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            is_inside = False
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            if isinstance(target, ast.Name) and len(target.id) > 1 and target.id.isupper() and not is_inside:
+                blocks, is_inside = blocks + 1, True
+    return blocks
+
+
+def test_blocks_of_constants_are_counted() -> None:
+    assert blocks_of_constants(ast.parse("AB = 1\nCD: int = 2\ndef f(): ...\nEF = 3\nclass G: ...\n")) == 2
+
+
 SOLVES = {"solve", "inv", "lstsq", "pinv", "cholesky", "splu", "spsolve", "cho_factor", "lu_factor"}
 """Functions of `numpy.linalg`, `scipy.linalg` and `scipy.sparse.linalg` that fail on what is singular."""
 
