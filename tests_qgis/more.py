@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from pcwlad_geo_qgis.algorithms.base import MODELS
 from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRasterLayer
 from qgis.PyQt.QtCore import QObject, QPoint, Qt, QUrl, pyqtSlot
 from qgis.PyQt.QtGui import QDesktopServices
@@ -75,7 +76,7 @@ def choose(dock: Any, layers: dict[str, QgsRasterLayer]) -> Iterator[int]:
     dock.advanced.setCollapsed(False)
     dock.target_band.setBand(1)
     dock.choices.set("SEARCH_RADIUS", 9)
-    dock.choices.set("MODEL", 2)
+    dock.choices.set("MODEL", MODELS.index("affine"))
     box = dock.choices._wrappers["WINDOW"].wrappedWidget()
     seen["windows"] = []
     for change in (box.stepUp, box.stepUp, box.stepDown, box.stepDown, lambda: box.setValue(80), box.clear):
