@@ -41,8 +41,8 @@ class EdgeParameters:
     """Sigma of the filter whose result is subtracted from grey values, and that levels their contrast."""
     alike: float = 0.8
     """Least correlation of grey values, in all strips but one, from which they tell a displacement."""
-    least_light_px: float = 0.1
-    """Least distance of both that counts: 0.5 px of slopes in other light, at most 0.1 px of most bands."""
+    least_light_px: float = 0.25
+    """Least distance of both that counts, px: 0.5 of slopes in other light, up to 0.2 of other sensors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
