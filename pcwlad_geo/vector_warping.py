@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -22,7 +21,7 @@ from pcwlad_geo.events import EventCallback, Progress, Warned
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.raster import WGS84, transform_xy
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
-from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers
+from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers, sqlite_file
 from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.types import Float64
 
@@ -81,7 +80,7 @@ def is_vector(source: str) -> bool:
     if suffix != ".gpkg":
         return suffix in (*WRITTEN, *OTHER_SUFFIXES)
     try:
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        with sqlite_file(path, allows_views=True) as database:  # what opens it as vectors refuses them
             query = "SELECT 1 FROM gpkg_contents WHERE data_type = 'features' LIMIT 1"
             return database.execute(query).fetchone() is not None
     except sqlite3.Error:  # reported by what opens it as a raster

@@ -174,17 +174,17 @@ def _layer(name: str, layer: str) -> VectorLayer:
 
 
 @contextmanager
-def sqlite_file(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a SQLite file for reading, of which every query is ended after `reading_s``.
+def sqlite_file(path: Path, *, allows_views: bool = False) -> Iterator[sqlite3.Connection]:
+    """Open a SQLite file for reading, of which every query is ended after `reading_s`.
 
-    Raises `TrustError` if it holds a view, which may be an endless query, and is not trusted, and
-    `sqlite3.Error` if it cannot be read.
+    Raises `TrustError` if it holds a view, which may be an endless query, and is not trusted, unless
+    `allows_views`, and `sqlite3.Error` if it cannot be read.
     """
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
         end = time.monotonic() + LIMITS.reading_s
         database.set_progress_handler(lambda: time.monotonic() > end, 100_000)  # steps, some milliseconds
         view = database.execute("SELECT name FROM sqlite_master WHERE type = 'view'").fetchone()
-        if view is not None and not current_trust().vrt:
+        if view is not None and not (allows_views or current_trust().vrt):
             raise TrustError(
                 f"{path} holds the view {str(view[0])[:80]!r}, a query that may never end: write its rows "
                 "to a table (ogr2ogr), or give --trust-vrt if you trust whoever made the file"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import warnings
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +23,9 @@ from pcwlad_geo.cli.app import run
 from pcwlad_geo.correction.splines import SplineCorrection, SplineGrid
 from pcwlad_geo.correction.vertices import DensifyingParameters, densify
 from pcwlad_geo.events import Event
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster import Grid
+from pcwlad_geo.vector_warping import is_vector
 from tests.registrations import SHIFT_PX, Make
 
 Array = NDArray[np.float64]
@@ -206,6 +211,18 @@ def test_what_cannot_be_moved_is_told(make: Make) -> None:
     with pytest.raises(OutputError, match="exists: give --overwrite"):
         warp(folder, [source])
     assert not list(Path().glob(".*"))
+
+
+def test_an_endless_table_of_contents_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GeoPackage is asked for features within the time that reading may take."""
+    monkeypatch.setattr("pcwlad_geo.raster.vectors.LIMITS", replace(LIMITS, reading_s=0.2))
+    path = tmp_path / "endless.gpkg"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute(
+            "CREATE VIEW gpkg_contents AS WITH RECURSIVE a(data_type) AS "
+            "(SELECT 'tiles' UNION ALL SELECT 'tiles' FROM a) SELECT data_type FROM a"
+        )
+    assert not is_vector(str(path))
 
 
 def test_the_command_moves_an_empty_layer_too(make: Make, capsys: pytest.CaptureFixture[str]) -> None:
