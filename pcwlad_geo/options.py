@@ -19,8 +19,6 @@ from pcwlad_geo.raster import Trust
 Model = Literal[
     "auto",
     "shift",
-    "rigid",
-    "similarity",
     "affine",
     "projective",
     "polynomial",
@@ -28,6 +26,8 @@ Model = Literal[
     "field",
     "jitter",
     "rpc",
+    "rigid",
+    "similarity",
 ]
 Prealign = Literal["auto", "georef", "search", "none"]
 Geometry = Literal["auto", "planar", "epipolar"]

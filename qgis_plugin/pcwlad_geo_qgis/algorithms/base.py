@@ -28,8 +28,8 @@ Values = dict[str, Any]
 
 ICON = Path(__file__).parents[1] / "icon.svg"
 METHODS = ["oriented", "gradient", "pcwlad", "pclad", "pclsm", "coarse"]
-MODELS = ["auto", "shift", "rigid", "similarity", "affine", "projective", "polynomial", "tps", "field",
-          "jitter", "rpc"]  # fmt: skip
+MODELS = ["auto", "shift", "affine", "projective", "polynomial", "tps", "field", "jitter", "rpc",
+          "rigid", "similarity"]  # new ones last: saved models of QGIS hold numbers  # fmt: skip
 PREALIGNMENTS = ["auto", "georef", "search", "none"]
 MATCHING = ("METHOD", "SEARCH_RADIUS", "WINDOW", "PREALIGN", "JOBS")
 """Parameters of the matching that are options as they are."""
