@@ -43,6 +43,7 @@ OF_THE_FOLDER: Final = (
     "write_sigma",
     "write_displacement",
     "write_proj_grid",
+    "write_placed",
 )
 """Options about the files of `register` alone."""
 

@@ -55,8 +55,9 @@ def _number(name: str, value: object, kind: type[int] | type[float], expected: s
 
 
 def _several(name: str, value: object) -> tuple[object, ...]:
-    """Return values that are separated by blanks in a text: creation options, or numbers."""
-    values = value.split() if isinstance(value, str) else value
+    """Return values that are separated in a text: creation options by blanks, numbers by commas too."""
+    text = value if name == "co" or not isinstance(value, str) else value.replace(",", " ")
+    values = text.split() if isinstance(text, str) else text
     if not isinstance(values, list | tuple):
         raise SettingsError(f"{name} = {value!r}: give a list, or values separated by blanks")
     if name == "co":

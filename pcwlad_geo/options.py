@@ -34,6 +34,7 @@ Geometry = Literal["auto", "planar", "epipolar"]
 OutputGrid = Literal["reference", "reference-exact", "target"]
 DisplacementUnit = Literal["px", "m"]
 Resampling = Literal["nearest", "bilinear", "cubic", "cubic_spline", "lanczos"]
+Geotransform = tuple[float, float, float, float, float, float]
 Check = tuple[Callable[[Any], bool], str]
 
 
@@ -79,6 +80,7 @@ FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 _REGISTER: Final = ("register",)
 _PAIR: Final = ("register", "match", "prove")
 _PLACED: Final = (*_PAIR, "stack")
+_WRITING: Final = ("register", "match")
 _REPORTING: Final = ("register", "match", "qa")
 _PROVING: Final = (*_REPORTING, "stack")
 _MATCHING: Final = (*_PROVING, "prove")
@@ -112,6 +114,10 @@ _PIXEL: Final[Check] = (
 _ADDRESS: Final[Check] = (
     lambda value: isinstance(value, str) and "://" in value,
     "an address such as tcp://host:8786",
+)
+_GEOTRANSFORM: Final[Check] = (
+    lambda value: _are_numbers(value, 6) and value[1] * value[5] != value[2] * value[4],
+    "six numbers x,a,b,y,d,e of a GDAL geotransform (x + a col + b row, y + d col + e row) with an inverse",
 )
 _FUNCTION: Final[Check] = (
     lambda value: isinstance(value, str) and bool(FUNCTION_NAME.match(value)),
@@ -188,6 +194,15 @@ class Settings:
     )
     """Part of the ground that is read, matched and written: x_min, y_min, x_max, y_max in the reference's
     CRS. Of the target a margin for its displacement is read too."""
+    place: Geotransform | None = option(
+        None,
+        "The target lies so: a GDAL geotransform in the reference's CRS, instead of its own georeferencing.",
+        _PAIR,
+        metavar="GT0,…,GT5",
+        check=_GEOTRANSFORM,
+    )
+    """GDAL geotransform of the target in the reference's CRS, which stands for the georeferencing that the
+    target has or lacks: x and y of the corner of the first pixel are the first and fourth number."""
     dem: Path | str | None = option(
         None, "Heights of the ground, for images with RPCs.", _PLACED, metavar="FILE"
     )
@@ -340,6 +355,9 @@ class Settings:
         False, "Write the correction as a grid of offsets that PROJ takes too.", _REGISTER
     )
     """Moves any layer that was drawn on the target, by ``gdalwarp -ct``, ``ogr2ogr -ct``, ``cct`` or QGIS."""
+    write_placed: bool = option(
+        False, "Write the target as --place puts it too, also where the pair is refused.", _WRITING
+    )
     displacement_spacing: int | None = option(
         None,
         "Pixel of the displacement field, reference px; auto: a quarter of the window.",
@@ -464,6 +482,10 @@ def _check_together(settings: Settings) -> None:
         raise SettingsError("pdf and no_report contradict each other: the PDF is made from the page")
     if settings.dem_vertical is not None and settings.dem is None:
         raise SettingsError(f"dem_vertical = {settings.dem_vertical!r} without a DEM: give --dem too")
+    if settings.write_placed and settings.place is None:
+        raise SettingsError("write_placed writes where place puts the target: give --place too")
+    if settings.place is not None and (settings.dem is not None or settings.model == "rpc"):
+        raise SettingsError("place and an RPC (--dem, --model rpc) both place the target: give one of them")
     for name in ("tr", "te", "t_srs"):
         if getattr(settings, name) is not None and (
             settings.like is not None or settings.grid != "reference"
@@ -518,6 +540,7 @@ class PairOptions(TypedDict, total=False):
     aoi: Path | str | None
     exclude: Path | str | None
     tie_points: Path | str | None
+    place: Geotransform | None
     dem: Path | str | None
     dem_vertical: float | Path | str | None
     trust_rpc: bool
@@ -547,6 +570,7 @@ class PairOptions(TypedDict, total=False):
     write_sigma: bool
     write_displacement: bool
     write_proj_grid: bool
+    write_placed: bool
     displacement_spacing: int | None
     displacement_unit: DisplacementUnit
     prove: Literal["off", "quick", "full"]

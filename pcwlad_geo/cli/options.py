@@ -147,6 +147,8 @@ def _type_of(name: str, option: Option) -> Any:  # noqa: ANN401  # of any type
     hint = _HINTS[name]
     if name in ("co", "require"):
         return list[str]
+    if name == "place":  # one value with commas, as GDAL and QGIS print a geotransform
+        return str
     if get_origin(hint) is Literal:
         return hint
     kinds = [kind for kind in get_args(hint) or (hint,) if kind is not type(None)]

@@ -14,7 +14,7 @@ from pcwlad_geo.outputs.bands import BandOutput, correction_of, orthorectify_ban
 from pcwlad_geo.outputs.displacement_raster import write_displacement
 from pcwlad_geo.outputs.map_raster import write_sigma
 from pcwlad_geo.outputs.proj_grid import write_proj_grid
-from pcwlad_geo.raster import Grid, OutputFormat, RpcModel, vrt
+from pcwlad_geo.raster import Grid, OutputFormat, RpcModel, as_in_file, vrt
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.tiepoints.csv_file import write_csv
@@ -88,6 +88,11 @@ def _corrected(job: Writing, path: Path) -> None:
     vrt.write_corrected_vrt(path, target.uri, correction, grid, final_path=job.places["corrected"])
 
 
+def _placed(job: Writing, path: Path) -> None:
+    target = job.registration.target
+    vrt.write_placed_vrt(path, target.uri, target.grid, final_path=job.places["placed"])
+
+
 def _rpc(job: Writing, path: Path) -> None:
     rpc = to_gdal(_corrected_rpc(job.registration))
     vrt.write_rpc_vrt(path, job.registration.target.uri, rpc, final_path=job.places["rpc"])
@@ -138,6 +143,7 @@ _CORRECTED: Final = Condition("`register`", lambda job: True, corrected=True)
 _SHIFTED: Final = Condition(
     "shift or affine, of a target with georeferencing", _in_geotransform, corrected=True
 )
+_PLACED: Final = Condition("with `--write-placed`", lambda job: job.settings.write_placed)
 _RPC: Final = Condition("a target with RPCs", lambda job: job.rpc is not None, corrected=True)
 _SIGMA: Final = Condition("with `--write-sigma`", lambda job: job.settings.write_sigma, corrected=True)
 _FIELD: Final = Condition(
@@ -155,6 +161,7 @@ OUTPUTS: Final = (
     Output(
         "corrected", "{stem}_corrected.vrt", _SHIFTED, "the target with corrected georeferencing", _corrected
     ),
+    Output("placed", "{stem}_placed.vrt", _PLACED, "the target as `--place` puts it", _placed),
     Output("rpc", "{stem}_rpc.vrt", _RPC, "the original target with the corrected RPC", _rpc),
     Output("rpc_text", "{stem}_rpc_RPC.TXT", _RPC, "the corrected RPC as text", _rpc_text),
     Output(
@@ -205,6 +212,7 @@ def _of_format(form: TiePointFormat) -> Output | None:
     def write_table(job: Writing, path: Path) -> None:
         registration = job.registration
         reference, target = registration.reference, registration.target
+        target = as_in_file(target)  # as QGIS shows it
         on_map = target.georeferenced and registration.rpc is None
         with FORMATS.blamed(form):
             rasters = PointRasters(reference, target, on_map, job.places[form.name])

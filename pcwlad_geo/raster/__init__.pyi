@@ -7,6 +7,7 @@ from .matching_grid import ViewPair, plan_views
 from .opening import open_raster
 from .output_format import OutputFormat
 from .output_grid import GridRequest, output_grids
+from .placed import as_in_file, place_by_hand
 from .rpc.dem import Dem
 from .rpc.files import RpcSource, read_rpc
 from .rpc.grid import RpcGrid, at_mean_height
@@ -36,6 +37,7 @@ __all__ = [
     "View",
     "ViewPair",
     "Window",
+    "as_in_file",
     "at_mean_height",
     "check_unchanged",
     "describe",
@@ -49,6 +51,7 @@ __all__ = [
     "open_raster",
     "output_grids",
     "pixel_sizes_m",
+    "place_by_hand",
     "plain_name",
     "plan_views",
     "read_rpc",

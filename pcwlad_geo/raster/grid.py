@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -140,6 +140,8 @@ class Grid:
     """Geotransform: (col, row), corner-based, to (x, y). Identity without georeferencing."""
     crs: CRS | None
     """Coordinate reference system of x, y; None also for a plane of unknown units."""
+    by_hand: bool = field(default=False, compare=False, kw_only=True)
+    """Whether the user placed the pixels so (`placed.by_hand`), whatever the file says."""
 
     @property
     def located(self) -> bool:

@@ -79,8 +79,16 @@ def grid_on_plane_of(info: RasterInfo, grid: Grid) -> Grid:
     """Return the grid of a raster, its geotransform without a CRS taken to be in the plane of another grid.
 
     This is the raster's own grid where it has no such geotransform, the other grid has no map coordinates,
-    or the two do not overlap.
+    or the two do not overlap. A raster of the pixels of a grid that the user has placed lies as that does;
+    raises `InputError` if it has another size.
     """
+    if grid.by_hand:
+        if info.grid.shape != grid.shape:
+            raise InputError(
+                f"{info.uri} has {info.grid.shape[1]} x {info.grid.shape[0]} pixels, and the target, which "
+                f"--place has placed, {grid.shape[1]} x {grid.shape[0]}: give a raster of the same size"
+            )
+        return grid
     if info.plane_transform is None or info.georeferenced or not grid.located:
         return info.grid
     assumed = Grid(info.grid.shape, info.plane_transform, grid.crs)
@@ -115,6 +123,11 @@ class ViewPair:
     def georeferenced(self) -> bool:
         """Whether both rasters are georeferenced; otherwise they are compared by pixel coordinates."""
         return self.reference.info.georeferenced and self.target.info.georeferenced
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether the user has placed the target, about where it lies."""
+        return self.target.info.grid.by_hand
 
 
 def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:

@@ -126,6 +126,13 @@ def write_corrected_vrt(
     write(tree, path)
 
 
+def write_placed_vrt(path: Path, target_path: str | Path, grid: Grid, *, final_path: Path) -> None:
+    """Write a VRT of the target's pixels with the place of a grid, as `write_corrected_vrt` does."""
+    tree = describe_file(target_path, final_path)
+    add_georeferencing(tree, grid.transform, grid.crs)
+    write(tree, path)
+
+
 def write_rpc_vrt(path: Path, target_path: str | Path, rpc: Mapping[str, str], *, final_path: Path) -> None:
     """Write a VRT of the target's pixels with another RPC.
 

@@ -23,7 +23,6 @@ from pcwlad_geo.raster import (
     Grid,
     GridRequest,
     OutputFormat,
-    RasterInfo,
     RpcGrid,
     describe,
     identify,
@@ -31,11 +30,10 @@ from pcwlad_geo.raster import (
 )
 from pcwlad_geo.raster.bands import BandPart
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS
-from pcwlad_geo.raster.matching_grid import share_plane
 from pcwlad_geo.raster.output_format import check_format
 from pcwlad_geo.raster.output_grid import check_covered, output_lattice
 from pcwlad_geo.raster.rpc.planning import ground_grid
-from pcwlad_geo.registration.rpc import place_reference, place_target
+from pcwlad_geo.registration.placing import place_pair
 from pcwlad_geo.tiepoints.readers import FORMATS
 from pcwlad_geo.types import PathLike
 
@@ -224,25 +222,13 @@ def check_output(inputs: Inputs) -> None:
     if request == GridRequest(settings.grid) and fmt == OutputFormat():
         return
     ref, tgt = describe(inputs.reference, part=True), describe(inputs.target, part=True)
-    ref, tgt = _as_placed(ref, tgt, settings)
+    ref, tgt, *_ = place_pair(ref, tgt, settings)
     ground = ground_grid(ref.grid)
     check_placed(request, {ref.uri: ref.georeferenced, tgt.uri: tgt.georeferenced}, ground)
     if fmt.is_vrt and isinstance(tgt.grid, RpcGrid):
         raise SettingsError("of = 'VRT': a VRT cannot hold the correction of an RPC; give --of COG or GTiff")
     check_near(request, ground, tgt.grid)
     check_format(fmt, tgt.uri, request.fixed(ground) or (tgt.grid if request.mode == "target" else ground))
-
-
-def _as_placed(
-    reference: RasterInfo, target: RasterInfo, settings: Settings
-) -> tuple[RasterInfo, RasterInfo]:
-    """Return both rasters as the job places them: by RPCs that are used, or in one plane."""
-    reference_by_rpc, _ = place_reference(reference, target, settings)
-    reference = reference_by_rpc.info if reference_by_rpc else reference
-    placement, _ = place_target(reference, target, settings)
-    if placement or reference_by_rpc:
-        return reference, placement.info if placement else target
-    return share_plane(reference, target)[:2]
 
 
 def check_placed(request: GridRequest, georeferenced: Mapping[str, bool], reference: Grid) -> None:

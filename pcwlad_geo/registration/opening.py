@@ -14,16 +14,13 @@ from pcwlad_geo.raster.combined_bands import with_bands
 from pcwlad_geo.raster.compression import with_compression_blocks
 from pcwlad_geo.raster.fill import without_shared_fill
 from pcwlad_geo.raster.identity import digest
-from pcwlad_geo.raster.matching_grid import ONLY_PIXELS, limited, limited_to_overlap, share_plane
+from pcwlad_geo.raster.matching_grid import ONLY_PIXELS, limited, limited_to_overlap
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import same_band, with_areas
 from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.registration.inputs import Inputs, identify_inputs, resolve
+from pcwlad_geo.registration.placing import place_pair
 from pcwlad_geo.registration.result import Pair
-from pcwlad_geo.registration.rpc import (
-    place_reference,
-    place_target,
-)
 from pcwlad_geo.types import PathLike
 
 BY_POINTS = "only the tie points given tell how the two lie"
@@ -70,14 +67,7 @@ def prepare_inputs(
         content = digest(file.identity for file in files)
         ref, ref_said, ref_pixels = _described(inputs.reference, inputs.ref_bands, settings.ref_mask, content)
         tgt, tgt_said, tgt_pixels = _described(inputs.target, inputs.tgt_bands, settings.tgt_mask, content)
-        reference_by_rpc, reference_warnings = place_reference(ref, tgt, settings)
-        ref = reference_by_rpc.info if reference_by_rpc else ref
-        placement, warnings = place_target(ref, tgt, settings)
-        if placement:
-            tgt = placement.info
-        elif not reference_by_rpc:
-            ref, tgt, assumed = share_plane(ref, tgt)
-            warnings = (*warnings, *assumed)
+        ref, tgt, placement, by_rpc, warnings = place_pair(ref, tgt, settings)
         ref, tgt, shared = without_shared_fill(ref, tgt, ref_pixels, tgt_pixels)
         ref = with_areas(ref, settings.aoi, settings.exclude)
         notes = (
@@ -86,10 +76,10 @@ def prepare_inputs(
             *(ref_said + tgt_said + shared),
             *_control_point_notes(ref, tgt, parameters),
         )
-        for warning in (*notes, *reference_warnings, *warnings):
+        for warning in (*notes, *warnings):
             log.warn(warning)
         _check_outputs(settings, ref, tgt, has_rpc=placement is not None)
-        views = plan_rpc_views(ref, tgt) if placement or reference_by_rpc else plan_views(ref, tgt)
+        views = plan_rpc_views(ref, tgt) if by_rpc else plan_views(ref, tgt)
         views = limited_to_overlap(limited(views, settings.extent) if settings.extent else views)
         for warning in views.warnings:
             log.warn(warning.replace(ONLY_PIXELS, BY_POINTS) if settings.tie_points else warning)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,6 +70,7 @@ class ReadSettings:
     of: str = "COG"
     co: tuple[str, ...] = ()
     keep: bool = False
+    place: tuple[float, float, float, float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +126,7 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
         return FinishedRegistration(
             correction=from_dict(report.model or {}),
             reference_grid=_grid(path, report.reference.ground or report.reference),
-            target_grid=_grid(path, report.target),
+            target_grid=replace(_grid(path, report.target), by_hand=settings.place is not None),
             request=_request(path, report, settings),
             fmt=OutputFormat.of(settings.of, settings.co),
             resampling=settings.resampling,

@@ -33,7 +33,8 @@ def select_ground_motion(
     one_product, by = of_one_product(*_inputs(start)), context.parameters.motions
     if not can_be_posed(pair):  # by an RPC, which errs by more, and relief moves parts of the scene
         return replace(scene, motions=(), patches=())
-    trusted = pair.georeferenced and before.pose is None and settings.prealign not in ("search", "none")
+    trusted = pair.georeferenced and not pair.by_hand and before.pose is None
+    trusted = trusted and settings.prealign not in ("search", "none")
     sizes_m = middle_pixel_size_m(pair.reference.grid) if one_product else None
     typical_px = by.product_m / max(sizes_m) if sizes_m else by.georeferenced_px
     error_px = typical_px if trusted else None

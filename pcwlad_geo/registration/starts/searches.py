@@ -98,7 +98,7 @@ class PoseStarts:
             reference.valid,
             target.valid,
             scales=(POSE.structure.scales[0] * by_px, POSE.structure.scales[1] * by_px),
-            stretched=not pair.georeferenced,  # a geotransform that errs is seldom stretched
+            stretched=not pair.georeferenced or pair.by_hand,  # a geotransform that errs is seldom stretched
         )
 
     def by_structure(self) -> StartingAlignment | None:
