@@ -46,6 +46,7 @@ from .rigs.applying import CaptureOutcome
 from .rigs.applying_run import RigApplied, rig_apply
 from .rigs.learning_run import rig_learn
 from .rigs.rig import Rig, RigLens
+from .shifting import shift
 from .tiepoints.table import TiePointTable
 
 __version__: str
@@ -112,6 +113,7 @@ __all__ = [
     "register",
     "rig_apply",
     "rig_learn",
+    "shift",
     "stack",
     "stack_add",
     "warp",

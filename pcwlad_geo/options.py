@@ -89,7 +89,7 @@ _WARPING: Final = ("register", "warp")
 _KEEPING: Final = ("register", "batch", "stack")
 _TABLES_TOO: Final = ("register", "match", "batch", "stack")
 _RUNNERS: Final = ("register", "match", "qa", "batch", "stack", "watch", "rig", "prove")
-_EVERYWHERE: Final = (*_RUNNERS, "warp", "edit")
+_EVERYWHERE: Final = (*_RUNNERS, "warp", "shift", "edit")
 _NO_COMMAND: Final = ()
 # The commands that take an option; those of _NO_COMMAND are for Python, TOML files and tables alone.
 _BAND: Final[Check] = (

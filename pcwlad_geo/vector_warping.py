@@ -48,6 +48,8 @@ class Movement:
     """Of the positions."""
     is_inverse: bool
     """Whether positions go back to where the target draws them."""
+    everywhere: bool = False
+    """Whether the correction is meant for all the ground, not for that of the target alone."""
 
     def to_px(self, xy: Float64) -> Float64:
         """Return the (n, 2) target px (col, row) where the original georeferencing shows the (n, 2) `xy`."""
@@ -66,11 +68,11 @@ class Movement:
         return moved_xy if self.crs is None else transform_xy(moved_xy, grid.crs, self.crs)
 
 
-def vector_place(source: str, out_dir: Path) -> Path:
+def vector_place(source: str, out_dir: Path, what: str = "registered") -> Path:
     """Return the path of the moved copy of a vector file in a folder."""
     path = Path(source)
     suffix = path.suffix if path.suffix.lower() in WRITTEN else ".gpkg"
-    return out_dir / f"{path.stem}_registered{suffix}"
+    return out_dir / f"{path.stem}_{what}{suffix}"
 
 
 def is_vector(source: str) -> bool:
@@ -93,6 +95,7 @@ def warp_vectors(
     registration: FinishedRegistration,
     *,
     is_inverse: bool,
+    everywhere: bool = False,
     overwrite: bool,
     on_event: EventCallback,
 ) -> tuple[Path, ...]:
@@ -107,7 +110,8 @@ def warp_vectors(
     for number, (source, place) in enumerate(zip(sources, places, strict=True)):
         on_event(Progress("vectors", number, len(sources)))
         with stage_inside(place.parent) as stage:
-            _write_moved(source, stage / place.name, registration, is_inverse, on_event)
+            movement = Movement(registration, None, is_inverse, everywhere)
+            _write_moved(source, stage / place.name, movement, on_event)
             for file in sorted(stage.iterdir()):
                 place_file(file, place.with_suffix(file.suffix), overwrite=overwrite)
     if sources:
@@ -115,13 +119,8 @@ def warp_vectors(
     return tuple(places)
 
 
-def _write_moved(
-    source: str,
-    staged: Path,
-    registration: FinishedRegistration,
-    is_inverse: bool,
-    on_event: EventCallback,
-) -> None:
+def _write_moved(source: str, staged: Path, movement: Movement, on_event: EventCallback) -> None:
+    registration = movement.registration
     if registration.rpc is not None:
         raise InputError(
             f"{source}: the target has RPCs, whose correction needs the height of every vertex: digitise on "
@@ -132,7 +131,7 @@ def _write_moved(
     if not layers:
         raise InputError(f"{source} has no layers: there is nothing to move")
     for number, layer in enumerate(layers):
-        movement = Movement(registration, _crs_of(layer, name, registration), is_inverse)
+        movement = replace(movement, crs=_crs_of(layer, name, registration))
         moved_layer = _moved_layer(layer, movement, name, on_event)
         _write_layer(staged, moved_layer, WRITTEN[staged.suffix.lower()], append=number > 0)
     for suffix in STYLE_SUFFIXES:
@@ -181,7 +180,7 @@ def _moved_layer(layer: VectorLayer, movement: Movement, name: str, on_event: Ev
             "cannot hold: clip it to the surroundings of the target (ogr2ogr -clipsrc)"
         )
     beyond = int(((place_px < 0) | (place_px > (cols, rows))).any(axis=1).sum())
-    if beyond:
+    if beyond and not movement.everywhere:
         on_event(
             Warned(
                 f"{name}, layer {layer.name!r}: {beyond} of {len(xy)} vertices lie beyond the target image, "

@@ -22,6 +22,7 @@ from pcwlad_geo.cli.qa import qa
 from pcwlad_geo.cli.rig import rig
 from pcwlad_geo.cli.running import Ending, run_guarded
 from pcwlad_geo.cli.sections import AFTER, MANY, ONE_PAIR, Command, Commands
+from pcwlad_geo.cli.shift import shift
 from pcwlad_geo.cli.stack import stack
 from pcwlad_geo.cli.warp import warp
 from pcwlad_geo.cli.watch import watch
@@ -177,6 +178,7 @@ for command, panel, lines in (
             "warp registered thermal_b11.tif -o warped --resampling bilinear",
         ),
     ),
+    (shift, AFTER, ("shift ortho.tif plots.gpkg --by 1.2,-0.8 -o shifted",)),
 ):
     app.command(cls=Command, rich_help_panel=panel, epilog=o.examples(*lines))(command)
 app.add_typer(rig, name="rig", rich_help_panel=MANY)

@@ -19,7 +19,7 @@ from pcwlad_geo import options as settings
 
 FUNCTIONS = {
     "batch", "fit", "match", "match_arrays", "match_files", "open_pair", "prove", "qa", "register",
-    "rig_apply", "rig_learn", "stack", "stack_add", "warp", "watch",
+    "rig_apply", "rig_learn", "shift", "stack", "stack_add", "warp", "watch",
 }  # fmt: skip
 RESULTS = {
     "Accuracy", "BatchResult", "CaptureOutcome", "Correction", "Decision", "FittedCorrection", "Grid",
