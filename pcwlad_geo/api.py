@@ -44,6 +44,7 @@ OF_THE_FOLDER: Final = (
     "write_displacement",
     "write_proj_grid",
     "write_placed",
+    "write_stac",
 )
 """Options about the files of `register` alone."""
 

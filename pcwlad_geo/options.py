@@ -358,6 +358,10 @@ class Settings:
     write_placed: bool = option(
         False, "Write the target as --place puts it too, also where the pair is refused.", _WRITING
     )
+    write_stac: bool = option(
+        False, "Write a STAC item of the registered raster with its accuracy, also as tags in it.", _REGISTER
+    )
+    """The errors at the check points, net of the matching noise, with CRS, checksum and how it was made."""
     displacement_spacing: int | None = option(
         None,
         "Pixel of the displacement field, reference px; auto: a quarter of the window.",
@@ -571,6 +575,7 @@ class PairOptions(TypedDict, total=False):
     write_displacement: bool
     write_proj_grid: bool
     write_placed: bool
+    write_stac: bool
     displacement_spacing: int | None
     displacement_unit: DisplacementUnit
     prove: Literal["off", "quick", "full"]

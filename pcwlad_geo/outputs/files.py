@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -12,7 +12,9 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.outputs.bands import BandOutput, correction_of, orthorectify_band, warp_band
 from pcwlad_geo.outputs.displacement_raster import write_displacement
+from pcwlad_geo.outputs.geometric_accuracy import GeometricAccuracy
 from pcwlad_geo.outputs.map_raster import write_sigma
+from pcwlad_geo.outputs.pair_item import write_item
 from pcwlad_geo.outputs.proj_grid import write_proj_grid
 from pcwlad_geo.raster import Grid, OutputFormat, RpcModel, as_in_file, vrt
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
@@ -41,7 +43,20 @@ class Writing:
     """Grid of the registered raster, if there is one."""
     places: Mapping[str, Path]
     """Final path of each kind, to which paths in the files are relative."""
+    staged: Mapping[str, Path]
+    """Where each kind is written now."""
     on_event: EventCallback
+    bands: Mapping[str, Path]
+    """Where the other bands of a product, by name, are written now."""
+    accuracy: GeometricAccuracy | None
+    """Errors of the registered raster, where its metadata tell them."""
+
+    @property
+    def format(self) -> OutputFormat:
+        """The format of the corrected rasters, with the tags that tell their accuracy."""
+        settings = self.registration.settings
+        tags = self.accuracy.tags() if self.accuracy else {}
+        return replace(OutputFormat.of(settings.of, settings.co), tags=tags)
 
 
 class Condition(NamedTuple):
@@ -104,8 +119,7 @@ def _raster(job: Writing, path: Path) -> None:
     if grid is None:
         raise TypeError(f"a pair that is {registration.status} has no registered raster")
     target, settings = registration.target, registration.settings
-    fmt = OutputFormat.of(settings.of, settings.co)
-    how = BandOutput(grid, settings.resampling, fmt, job.places["raster"])
+    how = BandOutput(grid, settings.resampling, job.format, job.places["raster"])
     if registration.rpc is not None:
         orthorectify_band(target.uri, path, registration.rpc.corrected_grid, how, job.on_event)
     else:
@@ -130,6 +144,10 @@ def _inverse_proj_grid(job: Writing, path: Path) -> None:
     write_proj_grid(path, correction_of(job.registration), job.registration.target.grid, is_inverse=True)
 
 
+def _item(job: Writing, path: Path) -> None:
+    write_item(path, job.registration, job.accuracy, job.places, job.staged["raster"], job.bands)
+
+
 def _in_geotransform(registration: Registration) -> bool:
     is_affine = isinstance(registration.correction, AffineCorrection)
     return registration.rpc is None and is_affine and registration.target.georeferenced
@@ -150,6 +168,7 @@ _FIELD: Final = Condition(
     "with `--write-displacement`", lambda job: job.settings.write_displacement, corrected=True
 )
 _GRID: Final = Condition("with `--write-proj-grid`", lambda job: job.settings.write_proj_grid, corrected=True)
+_ITEM: Final = Condition("with `--write-stac`", lambda job: job.settings.write_stac, corrected=True)
 OUTPUTS: Final = (
     Output("numbers", "report.json", _ALWAYS, "the report for programs, as report.schema.json describes it"),
     Output("report", "report.html", _PAGE, "the report: verdict, views, figures, statistics, advice"),
@@ -182,6 +201,9 @@ OUTPUTS: Final = (
         _GRID,
         "the same from where places belong, to warp rasters",
         _inverse_proj_grid,
+    ),
+    Output(
+        "item", "{stem}_item.json", _ITEM, "a STAC item of the registered raster, with its accuracy", _item
     ),
 )
 """The files that a job may write, besides those in formats of tie points and the other bands of a product."""

@@ -14,8 +14,9 @@ from pcwlad_geo.events import Event, EventCallback, Progress, Warned
 from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.outputs.bands import BandOutput, correction_of, output_grids_of, warp_band
 from pcwlad_geo.outputs.files import Writing, corrects, outputs
+from pcwlad_geo.outputs.geometric_accuracy import GeometricAccuracy
 from pcwlad_geo.products.product import ProductBand
-from pcwlad_geo.raster import Grid, OutputFormat
+from pcwlad_geo.raster import Grid
 from pcwlad_geo.raster.output_format import files_of
 
 if TYPE_CHECKING:  # slow to load; workers are started before
@@ -72,8 +73,12 @@ def write(
     side = ThreadPoolExecutor(1)  # GDAL warps without Python's lock
     try:
         drawing = side.submit(copy_context().run, _draw, registration, sorted(names), grids, gcps)
-        job = Writing(registration, grids[0] if grids else None, places, tell)
-        for count, _ in enumerate(_write_files(job, staged, bands, grids), start=1):
+        grid = grids[0] if grids else None
+        told = grid is not None and registration.settings.write_stac
+        accuracy = GeometricAccuracy.of(registration, grid.crs) if grid and told else None
+        by_name = {band.name: path for band, path in bands.items()}
+        job = Writing(registration, grid, places, staged, tell, by_name, accuracy)
+        for count, _ in enumerate(_write_files(job, bands, grids), start=1):
             on_event(Progress("writing", count, total))
         report, drawings, seconds_drawing = drawing.result()
     finally:
@@ -88,21 +93,18 @@ def write(
     return Written(written, tuple(messages), report)
 
 
-def _write_files(
-    job: Writing, staged: Mapping[str, Path], bands: Mapping[ProductBand, Path], grids: Sequence[Grid]
-) -> Iterator[Path]:
+def _write_files(job: Writing, bands: Mapping[ProductBand, Path], grids: Sequence[Grid]) -> Iterator[Path]:
     """Write all files but the reports; yield each that is done."""
-    registration, settings = job.registration, job.registration.settings
-    for output in outputs():
-        if output.write is not None and output.is_of(registration):
-            output.write(job, staged[output.kind])
-            yield staged[output.kind]
-    fmt = OutputFormat.of(settings.of, settings.co)
+    registration, resampling = job.registration, job.registration.settings.resampling
     for (band, path), grid in zip(bands.items(), grids[1:], strict=True):
-        how = BandOutput(grid, settings.resampling, fmt, job.places["numbers"].with_name(path.name))
+        how = BandOutput(grid, resampling, job.format, job.places["numbers"].with_name(path.name))
         correction, target = correction_of(registration), registration.target.grid
         warp_band(band.opened_as(), path, correction, target, how, job.on_event)
         yield path
+    for output in outputs():  # the item of all rasters is the last
+        if output.write is not None and output.is_of(registration):
+            output.write(job, job.staged[output.kind])
+            yield job.staged[output.kind]
 
 
 def _write_report(

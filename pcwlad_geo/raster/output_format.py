@@ -60,6 +60,8 @@ class OutputFormat:
     """GDAL's short name, in any case."""
     options: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """Creation options of the user, names in capitals; they take precedence over the defaults."""
+    tags: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}), compare=False)
+    """Metadata to add to those of the source."""
 
     @staticmethod
     def of(driver: str, options: Sequence[str]) -> OutputFormat:
@@ -220,6 +222,7 @@ def write_described(
     description, path = scratch / "described.vrt", scratch / "made" / name
     path.parent.mkdir()
     tree = vrt.describe_pixels(source, pixels, grid.shape)
+    vrt.add_items(tree, fmt.tags)
     band_tags = [tags for tags in tree.findall("VRTRasterBand/Metadata") if "domain" not in tags.attrib]
     for tags in band_tags if fmt.is_tiff else ():
         tags.set("domain", _BAND_TAGS)

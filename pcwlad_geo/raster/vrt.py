@@ -237,6 +237,20 @@ def _add_tags(element: ET.Element, tags: Tags) -> None:
             ET.SubElement(metadata, "MDI", key=key).text = value
 
 
+def add_items(tree: ET.Element, items: Mapping[str, str]) -> None:
+    """Add metadata of the default domain to the VRT of a raster, in the place of those of the same name."""
+    if not items:
+        return
+    metadata = next((each for each in tree.findall("Metadata") if "domain" not in each.attrib), None)
+    if metadata is None:
+        metadata = ET.Element("Metadata")
+        tree.insert(0, metadata)
+    for item in [item for item in metadata if item.get("key") in items]:
+        metadata.remove(item)
+    for key, value in items.items():
+        ET.SubElement(metadata, "MDI", key=key).text = value
+
+
 def _parse_verbatim(text: str) -> ET.Element | None:
     """Parse a document, its namespace declarations kept in place; None if it is not XML."""
     builder = ET.TreeBuilder()

@@ -113,6 +113,11 @@ def _check_outputs(settings: Settings, ref: RasterInfo, tgt: RasterInfo, *, has_
     if settings.write_proj_grid and (tgt.grid.crs is None or has_rpc):
         what = "no CRS" if tgt.grid.crs is None else "RPCs, whose correction depends on the height"
         raise InputError(f"the target has {what}: leave out --write-proj-grid")
+    if settings.write_stac and ref.grid.crs is None:
+        raise InputError(
+            "the reference has no CRS, and a STAC item tells where on earth a raster lies: leave out "
+            "--write-stac, or give the reference a CRS (gdal_edit.py -a_srs)"
+        )
     if settings.write_displacement and settings.displacement_unit == "m" and ref.grid.crs is None:
         raise InputError(
             "the reference has no CRS, so that a displacement in metres is not known: leave out "

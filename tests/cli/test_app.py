@@ -113,7 +113,13 @@ def test_help_names_every_setting_of_the_command(command: str, capsys: pytest.Ca
     names = {field.name for field in fields(Settings)} - NOT_ON_THE_COMMAND_LINE
     if command == "match":
         names -= {"model", "grid", "resampling", "write_sigma", "keep", "tie_points"}
-        names -= {"write_displacement", "write_proj_grid", "displacement_spacing", "displacement_unit"}
+        names -= {
+            "write_displacement",
+            "write_proj_grid",
+            "write_stac",
+            "displacement_spacing",
+            "displacement_unit",
+        }
         names -= {"like", "tr", "te", "t_srs", "of", "co"}
     missing = [name for name in names if f"--{name.replace('_', '-')} " not in shown]
     assert not missing

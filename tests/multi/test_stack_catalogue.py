@@ -18,6 +18,7 @@ from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster import Grid
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 from tests.scenes import make_grid, render, write
+from tests.stac_rules import check_item
 
 GRID = make_grid((160, 180))
 FAST: Any = {"window": 41, "template": 61, "features": 60, "jobs": 1}
@@ -52,6 +53,20 @@ def undated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def items_of(out: Path) -> list[Any]:
     pystac = pytest.importorskip("pystac")
     return list(pystac.Collection.from_file(str(out / "collection.json")).get_items())
+
+
+def test_items_are_valid_and_tell_the_accuracy(bands_of_dates: Path) -> None:
+    """The scatter is the sigma of the adjustment, metres along the axes of the map, and in the tags, too."""
+    first, *_ = paths = sorted(bands_of_dates.glob("item_*.json"))
+    for path in paths:
+        check_item(json.loads(path.read_text()))
+    asset = json.loads(first.read_text())["assets"]["nir"]
+    sigma_m = np.multiply(asset["pcwlad_geo:sigma_px"], GRID.transform.a)
+    told = [asset[f"accuracy:geometric_{axis}_stddev"] for axis in "xy"]
+    np.testing.assert_allclose(told, sigma_m, atol=0.02 * GRID.transform.a)
+    assert abs(asset["accuracy:geometric_rmse"] - np.hypot(*told)) < 2e-4
+    with rasterio.open(bands_of_dates / asset["href"]) as file:
+        assert float(file.tags()["ACCURACY_GEOMETRIC_X_STDDEV"]) == told[0]
 
 
 def check_slices(

@@ -19,6 +19,7 @@ from tests.cli.process import run_cli
 from tests.docs.pages import DOCS, code_of
 from tests.multi.watched import Dated, make_stack
 from tests.scenes import make_grid, render, write
+from tests.stac_rules import check_item
 
 GRID = make_grid((160, 180))
 SHIFTS_PX = ((0.0, 0.0), (1.3, -0.7), (-0.6, 0.4))
@@ -51,6 +52,9 @@ def test_each_original_has_the_geotransform_of_its_date(stacked: Path, tmp_path:
     watch(stacked, out_dir=tmp_path / "out")
     items = items_of(tmp_path / "out")
     assert sorted(items) == list(NAMES)
+    for item in items.values():
+        check_item(item)
+        assert item["properties"]["accuracy:geometric_rmse"] < 0.1 * GRID.transform.a
     for name, shift in zip(NAMES, SHIFTS_PX, strict=True):
         original = items[name]["assets"]["original"]
         assert (tmp_path / "out" / original["href"]).samefile(stacked.parent / f"{name}.tif")

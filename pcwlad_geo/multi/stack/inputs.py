@@ -6,7 +6,6 @@ import csv
 import datetime
 import io
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -18,13 +17,11 @@ from pcwlad_geo.events import EventCallback, Warned
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
-from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, rasters_of
+from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, date_in, rasters_of
 from pcwlad_geo.raster import Bands, RasterInfo, describe, file_name, is_folder, plain_name
 from pcwlad_geo.text import is_uri, read_json, read_text, whole
 from pcwlad_geo.types import PathLike
 
-DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
-"""A date in a name."""
 SERIES: Final = ("platform", "sat:relative_orbit")
 """Properties of a STAC item that tell its series."""
 
@@ -147,9 +144,8 @@ def _named(path: str, band: int | str, fields: Mapping[str, Any] | None = None) 
     product = find_product(path)
     file = path if product is None or not isinstance(band, str) else product.band(band).uri
     values["name"] = plain_name(values.get("name") or Path(file_name(file)).stem)
-    match = next(filter(None, (DATE.search(part) for part in reversed(Path(path).parts))), None)
-    if not values.get("date") and match:
-        values["date"] = f"{match[1]}-{match[3]}-{match[4]}"
+    if not values.get("date") and (date := date_in(path)):
+        values["date"] = date
     return StackInput(path, band, **values)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from pcwlad_geo.band_warping import WarpOutput
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, Progress, Warned, only_warnings
-from pcwlad_geo.multi.stack.catalogue import COLLECTION, ITEM, catalogue
+from pcwlad_geo.multi.stack.catalogue import ITEM, accuracy_of, catalogue
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.job import StackJob
 from pcwlad_geo.multi.stack.numbers import FILES, PAGE, write_numbers
@@ -25,6 +25,7 @@ from pcwlad_geo.multi.stack.verdict import grade_images, judge_stack
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.outputs.places import check_outputs
+from pcwlad_geo.outputs.stac import COLLECTION
 from pcwlad_geo.raster import GridRequest, OutputFormat
 from pcwlad_geo.raster.vrt import write_corrected_vrt
 from pcwlad_geo.registration import requested_grid
@@ -96,7 +97,9 @@ def write_registered(job: StackJob, frame: StackFrame, names: Collection[str], r
         job.on_event(Progress("images", done_before, len(images)))
         number = frame.names.index(image.name)
         tell = partial(only_warnings, job.on_event)
-        warp_onto(frame, number, image.correction, image.registered, job.settings, tell)
+        accuracy = accuracy_of(image, frame.grid.crs)
+        tags = accuracy.tags() if accuracy else {}
+        warp_onto(frame, number, image.correction, image.registered, job.settings, tell, tags)
         if isinstance(image.correction, AffineCorrection):
             name, info = VRT.format(image.name), frame.infos[number]
             place = job.folder / name
@@ -112,10 +115,11 @@ def warp_onto(
     place: Path,
     settings: Settings,
     on_event: EventCallback,
+    tags: Mapping[str, str],
 ) -> None:
-    """Warp an image once, by its correction, onto the grid of the frame, to a file."""
+    """Warp an image once, by its correction, onto the grid of the frame, to a file with more `tags`."""
     info = frame.infos[number]
-    fmt = OutputFormat.of(settings.of, settings.co)
+    fmt = replace(OutputFormat.of(settings.of, settings.co), tags=tags)
     exact = settings if settings.like is not None else replace(settings, grid="reference-exact")
     extent = box(0.0, 0.0, *frame.grid.shape[::-1])
     outside = not Polygon(frame.from_image(number, info.grid.boundary_px())).intersects(extent)

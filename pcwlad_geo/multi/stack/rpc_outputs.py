@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from pcwlad_geo.band_warping import WarpOutput, apply
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.events import EventCallback, Progress, only_warnings
+from pcwlad_geo.multi.stack.catalogue import accuracy_of
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.multi.stack.rpc_images import PlacedImages
 from pcwlad_geo.options import Settings
@@ -50,7 +52,9 @@ def write_images(
             info = block.frame.infos[block.frame.names.index(image.name)]
             warp_image(info, image.registered, still, output, quiet)
             continue
-        how = BandOutput(grid, settings.resampling, fmt, folder / image.registered.name)
+        accuracy = accuracy_of(image, grid.crs)
+        tagged = replace(fmt, tags=accuracy.tags() if accuracy else {})
+        how = BandOutput(grid, settings.resampling, tagged, folder / image.registered.name)
         corrected, stage = image.rpc.registration.corrected_grid, image.registered.parent
         orthorectify_band(image.path, image.registered, corrected, how, quiet)
         vrt = image.rpc.vrt

@@ -15,7 +15,7 @@ from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Progress, only_warnings
-from pcwlad_geo.multi.stack.catalogue import COLLECTION, Asset, stac_item, stac_texts
+from pcwlad_geo.multi.stack.catalogue import LINEAGE, stac_texts
 from pcwlad_geo.multi.stack.finished import RasterInfoOrError, frame_again
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.numbers import NUMBERS as STACK_NUMBERS
@@ -25,6 +25,8 @@ from pcwlad_geo.multi.stack.positions import NODES
 from pcwlad_geo.multi.watch.numbers import CorrectedImages, ImageSeries, WatchedImage
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
+from pcwlad_geo.outputs.geometric_accuracy import GeometricAccuracy
+from pcwlad_geo.outputs.stac import COLLECTION, Asset, stac_item
 from pcwlad_geo.raster import Grid, describe
 from pcwlad_geo.raster.vrt import corrected_transform, referred
 
@@ -66,7 +68,9 @@ def write_corrected(
             like = stack / (numbers["images"][frame.reference]["registered"] or "")
             settings = Settings(like=like) if like.is_file() else Settings()
             tell = partial(only_warnings, on_event)
-            warp_onto(frame, number, from_dict(entry["model"]), place, settings, tell)
+            accuracy = _accuracy(frame, number, entry)
+            tags = accuracy.tags() if accuracy else {}
+            warp_onto(frame, number, from_dict(entry["model"]), place, settings, tell, tags)
         items.append(_corrected_item(out, frame, number, entry, stack, watched.get(frame.names[number])))
     for name, text in stac_texts(items, "watch", CORRECTED).items() if items else ():
         out.path(name).write_text(text, encoding="utf-8", newline="")
@@ -101,7 +105,7 @@ def _corrected_item(
     if applied.is_file() or (stack / entry["registered"]).is_file():
         file = applied if applied.is_file() else stack / entry["registered"]
         href = f"./{applied.name}" if applied.is_file() else referred_to(file)
-        assets["registered"] = Asset(href, "COG", describe(file).grid, outlined=False)
+        assets["registered"] = Asset(href, "COG", describe(file).grid, outlined=False, file=file)
     links = [{"rel": "describedby", "type": "text/html", "href": referred_to(stack / PAGE)}]
     links += [{"rel": "describedby", "type": "application/json", "href": referred_to(stack / STACK_NUMBERS)}]
     if source.item is not None:
@@ -109,7 +113,14 @@ def _corrected_item(
             {"rel": "derived_from", "type": "application/geo+json", "href": referred_to(source.item)}
         )
     properties = {f"pcwlad_geo:{key}": value for key, value in figures.items()}
-    return stac_item(name, source.date, assets, collection="watch", properties=properties, links=links)
+    accuracy = _accuracy(frame, number, entry)
+    properties |= {} if accuracy is None else accuracy.fields()
+    how: dict[str, Any] = {"collection": "watch", "lineage": LINEAGE, "properties": properties, "links": links}
+    return stac_item(name, source.date, assets, **how)
+
+
+def _accuracy(frame: StackFrame, number: int, entry: Mapping[str, Any]) -> GeometricAccuracy | None:
+    return GeometricAccuracy.of_position(entry["sigma_px"], frame.infos[number].grid, frame.grid.crs)
 
 
 def _corrected_grid(grid: Grid, correction: Correction) -> tuple[Grid, float]:
