@@ -12,10 +12,11 @@ import shapely
 from affine import Affine
 from rasterio.crs import CRS
 
-from pcwlad_geo.arguments import checked
+from pcwlad_geo.arguments import checked, shown
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.events import EventCallback, Progress, ignore
+from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.outputs.folder import place_with_files, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster import (
@@ -93,8 +94,11 @@ def shift(
     OutputError
         If a result cannot be written; those before it are kept.
     """
-    if not np.isfinite([*by, angle_deg, *(about or ())]).all():
-        raise SettingsError(f"by = {by!r}, angle_deg = {angle_deg!r}: give finite numbers")
+    if not all(abs(number) <= LIMITS.coordinate for number in (*by, angle_deg, *(about or ()))):
+        raise SettingsError(
+            f"by = {shown(by)}, angle_deg = {shown(angle_deg)}: give finite numbers up to "
+            f"{LIMITS.coordinate:.0e}"
+        )
     names, folder = [os.fspath(file) for file in files], Path(out_dir or ".")
     if not names:
         raise InputError("no file to shift: give at least one")

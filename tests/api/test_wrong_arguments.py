@@ -19,7 +19,7 @@ WRONG: list[Any] = [5, 2.5, True, None, [], [5], {}, {"a": 1}, b"a", object(), f
 WRONG += [10**5000]
 FUNCTIONS = (
     *("batch", "fit", "match", "match_arrays", "match_files", "open_pair", "prove", "qa", "register"),
-    *("rig_apply", "rig_learn", "stack", "stack_add", "warp", "watch"),
+    *("rig_apply", "rig_learn", "shift", "stack", "stack_add", "warp", "watch"),
 )
 
 
@@ -49,8 +49,10 @@ def test_a_wrong_argument_is_an_error_of_ours(function: str, name: str) -> None:
         each.name for each in signature.values() if each.default is each.empty and each.name != "options"
     ]
     sound: dict[str, Any] = {
-        each: ["absent.tif"] if each in ("images", "captures") else "absent.tif" for each in needed
+        each: ["absent.tif"] if each in ("images", "captures", "files") else "absent.tif" for each in needed
     }
+    if function == "shift":
+        sound |= {"by": (1.0, 2.0)}
     if function == "match_arrays":
         sound = {"reference": IMAGE, "target": IMAGE[::-1]}
     for value in WRONG:
@@ -70,6 +72,7 @@ def test_a_wrong_argument_is_an_error_of_ours(function: str, name: str) -> None:
         ("stack", {"images": 5}),
         ("stack_add", {"images": ["a.tif"], "out_dir": 5}),
         ("warp", {"registration": "a", "rasters": ["b.tif"], "tr": (1, "x")}),
+        ("shift", {"files": ["a.tif"], "by": 5}),
         ("watch", {"stack": 5}),
         ("rig_learn", {"captures": {}}),
         ("rig_apply", {"captures": ["a"], "out_dir": "b", "rig": 5}),
