@@ -42,6 +42,10 @@ PARAMETERS = {
     "TIE_POINTS": mark(
         "Fits the points of this file and matches nothing: tiepoints.csv, QGIS points, ENVI points."
     ),
+    "PLACE": mark(
+        "Six numbers with commas: the GDAL geotransform in the CRS of the reference that the target gets "
+        "instead of its own."
+    ),
     "KEEP": mark("Write the raster although a requirement is not met; the output PASSED says so."),
     "METHOD": mark("How two windows are compared. The first is the most precise."),
     "POINTS": mark("At most so many, spread evenly, the most precise of each neighbourhood."),
@@ -112,6 +116,7 @@ TITLES = {
     "LIKE": mark("Grid of another raster"),
     "RESAMPLING": mark("Resampling"),
     "TIE_POINTS": mark("Tie points of a file"),
+    "PLACE": mark("Geotransform of the target, put by hand"),
     "KEEP": mark("Keep the registered raster although a requirement is not met"),
     "METHOD": mark("Matching method"),
     "POINTS": mark("Tie points wanted (0: all; not set: 1000 of a scene, all of a small image)"),
@@ -240,6 +245,7 @@ OPTIONS = {
     "--tgt-mask": mark("Mask of the target"),
     "--ref-band": mark("Band of the reference"),
     "--tgt-band": mark("Band of the target"),
+    "--place": mark("Geotransform of the target, put by hand"),
     "--keep": mark("Keep the registered raster although a requirement is not met"),
 }
 """What the dialogs call the options that they have a widget for."""
@@ -327,6 +333,11 @@ PROOF_LINE = mark(
 """What is told of a proof."""
 WATCH_LINE = mark("Series: {series}; steps: {steps}; parts of the ground that move: {moving}")
 """What is told of a stack over time."""
+PLACE_KEYS = mark(
+    "Drag moves the layer, Ctrl-drag turns it, Alt-wheel scales it, arrow keys step, Ctrl-Z takes back."
+)
+PLACE_PAIRS = mark("Click a place of the layer, then where it belongs; up to three times.")
+"""How a layer is placed by hand."""
 GRADES = {"good": mark("good"), "fair": mark("fair"), "poor": mark("poor")}
 """The quality in a word."""
 MARKED = {

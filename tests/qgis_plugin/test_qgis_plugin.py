@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import configparser
 import importlib
+import math
 import re
 import runpy
 import string
@@ -70,8 +71,8 @@ def test_modules_are_python_39_and_import_qgis_and_the_standard_library_only(pat
             imported |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             imported.add((node.module or "").split(".")[0])
-    # processing is a plugin that QGIS brings
-    assert imported <= {"qgis", "processing", *sys.stdlib_module_names}
+    # processing is a plugin that QGIS brings, and GDAL comes with it
+    assert imported <= {"qgis", "processing", "osgeo", *sys.stdlib_module_names}
 
 
 def test_the_choices_are_those_of_the_engine() -> None:
@@ -157,6 +158,55 @@ def test_points_have_the_signs_of_the_georeferencer_and_changes_are_undone(
     assert [points.undo() and set(points.gone) for _ in range(3)] == [{3}, {4}, {3, 4}]
     points.take([[0.5, 0.25], [0, 0], [0, 0]])
     assert points.points[0].residual_px == (-0.5, -0.25)
+
+
+def test_a_layer_is_put_by_hand_and_every_step_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = plugin_module("process.placement", monkeypatch)
+    truth = (500.0, 3.0, 0.4, 900.0, 0.5, -2.0)
+    assert module.after(truth, module.inverse(truth)) == pytest.approx(module.STILL)
+    corners = [module.apply(truth, each) for each in module.corners_of((0, -50, 80, 0))]
+    assert module.fitted(corners, (0, -50, 80, 0)) == pytest.approx(truth)
+    put = module.Placement((0, 0, 80, 50))
+    for place in ((0, 0), (80, 10), (20, 50)):
+        assert put.add_pair(module.apply(put.now, place), module.apply(truth, place))
+    assert put.now == pytest.approx(truth)
+    before = put.now
+    assert not put.add_pair((0, 0), (1, 1)) or put.undo()  # a fourth begins anew: a shift
+    assert put.now == before
+    assert [put.undo() for _ in range(4)] == [True, True, True, False]
+    assert put.now == module.STILL
+    assert put.redo()
+    assert put.now == pytest.approx(module.moved(500, 900))
+    put.change(module.moved(1, 1))
+    assert (put.pairs, put.can) == ((), (True, False))
+
+
+@pytest.mark.parametrize("aspect", [1.0, 0.5])
+def test_turns_and_scales_are_those_on_the_ground(aspect: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = plugin_module("process.placement", monkeypatch)
+    put = module.Placement((0, 0, 10, 10))
+    put.aspect = aspect
+    put.set_figures(4.0, -3.0, 30.0, 2.0)
+    assert put.figures() == pytest.approx((4, -3, 30, 2))
+    ground = [
+        (x * aspect, y) for x, y in (module.apply(put.now, each) for each in ((0, 0), (10, 0), (0, 10)))
+    ]
+    sides = [math.dist(ground[0], end) for end in ground[1:]]
+    assert sides == pytest.approx([20 * aspect, 20])
+    assert math.dist(*ground[1:]) == pytest.approx(math.hypot(*sides))  # a right angle stays one
+    wanted = [module.apply(put.now, each) for each in ((1, 2), (7, 3))]
+    assert module.through([(1, 2), (7, 3)], wanted, aspect) == pytest.approx(put.now)
+
+
+def test_pairs_on_one_line_put_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = plugin_module("process.placement", monkeypatch)
+    put = module.Placement((0, 0, 10, 10))
+    assert put.add_pair((1, 1), (1, 1))
+    assert not put.add_pair((1, 1), (5, 5))
+    assert put.add_pair((2, 2), (3, 3))
+    before = put.now
+    assert not put.add_pair((5, 5), (9, 9))
+    assert put.now == before
 
 
 def plugin_module(name: str, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:

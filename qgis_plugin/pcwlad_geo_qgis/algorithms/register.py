@@ -56,6 +56,7 @@ class RegisterRaster(PairAlgorithm):
         self.add_choice("RESAMPLING", "lanczos", advanced=True)
         file, all_files = core.QgsProcessingParameterFile, tr("All files (*)")
         self.add(file, "TIE_POINTS", optional=True, fileFilter=all_files, advanced=True)
+        self.add(core.QgsProcessingParameterString, "PLACE", optional=True, advanced=True)
         self.add(boolean, "KEEP", False, advanced=True)
         self.add_matching()
         self.add(destination, "OUTPUT", optional=True)
@@ -71,6 +72,14 @@ class RegisterRaster(PairAlgorithm):
             return tr(ONLY_GEOREFERENCE)
         return super().problem(parameters, context)
 
+    def prepareAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> bool:
+        """Read the layers; a target that is placed by hand is its file, whatever CRS QGIS has for it."""
+        prepared = super().prepareAlgorithm(parameters, context, feedback)
+        self._place = self.parameterAsString(parameters, "PLACE", context)
+        if self._place:
+            self._to_copy.pop("INPUT", None)
+        return prepared
+
     def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         georeference = self.parameterAsBool(parameters, "GEOREFERENCE", context)
         raster = "" if georeference else absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))
@@ -78,6 +87,7 @@ class RegisterRaster(PairAlgorithm):
         points = absolute(self.parameterAsFile(parameters, "TIE_POINTS", context))
         options = options_of({"--output-raster": raster, "--tie-points": points})
         options += self.options(parameters, context, "MODEL", "LIKE", "RESAMPLING")
+        options += [f"--place={self._place}"] if self._place else []
         options += ["--of", "VRT"] if georeference else []
         options += ["--keep"] if self.parameterAsBool(parameters, "KEEP", context) else []
         options += ["--write-displacement", "--displacement-unit", "m"] if field else []

@@ -40,6 +40,10 @@
       <translation>Registrierung</translation>
     </message>
     <message>
+      <source>More options: QGIS loads files that --no-report leaves out. Leave that option out.</source>
+      <translation>Weitere Optionen: QGIS lädt Dateien, die --no-report auslässt. Lassen Sie diese Option weg.</translation>
+    </message>
+    <message>
       <source>Matching window: its side must be odd, such as 81 or 129.</source>
       <translation>Vergleichsfenster: Die Seitenlänge muss ungerade sein, etwa 81 oder 129.</translation>
     </message>
@@ -54,10 +58,6 @@
     <message>
       <source>More options: a quotation mark is not closed. Close it, or leave it out.</source>
       <translation>Weitere Optionen: ein Anführungszeichen ist nicht geschlossen. Schließen Sie es, oder lassen Sie es weg.</translation>
-    </message>
-    <message>
-      <source>More options: QGIS loads files that --no-report leaves out. Leave that option out.</source>
-      <translation>Weitere Optionen: QGIS lädt Dateien, die --no-report auslässt. Lassen Sie diese Option weg.</translation>
     </message>
     <message>
       <source>{}: the engine writes GeoTIFF. Choose a file name that ends in .tif.</source>
@@ -312,6 +312,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Reihen: {series}; Sprünge: {steps}; Teile des Bodens, die sich bewegen: {moving}</translation>
     </message>
     <message>
+      <source>Drag moves the layer, Ctrl-drag turns it, Alt-wheel scales it, arrow keys step, Ctrl-Z takes back.</source>
+      <translation>Ziehen verschiebt den Layer, Strg+Ziehen dreht, Alt+Mausrad skaliert, Pfeiltasten gehen schrittweise, Strg+Z macht rückgängig.</translation>
+    </message>
+    <message>
+      <source>Click a place of the layer, then where it belongs; up to three times.</source>
+      <translation>Klicken Sie eine Stelle des Layers an, dann wohin sie gehört; bis zu dreimal.</translation>
+    </message>
+    <message>
       <source>No pcwlad-geo engine was found.</source>
       <translation>Keine pcwlad-geo-Engine gefunden.</translation>
     </message>
@@ -434,6 +442,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Fits the points of this file and matches nothing: tiepoints.csv, QGIS points, ENVI points.</source>
       <translation>Passt die Punkte dieser Datei an und ordnet nichts zu: tiepoints.csv, Punkte von QGIS oder ENVI.</translation>
+    </message>
+    <message>
+      <source>Six numbers with commas: the GDAL geotransform in the CRS of the reference that the target gets instead of its own.</source>
+      <translation>Sechs Zahlen mit Kommas: die GDAL-Geotransformation im KBS der Referenz, die das Ziel statt seiner eigenen bekommt.</translation>
     </message>
     <message>
       <source>Write the raster although a requirement is not met; the output PASSED says so.</source>
@@ -654,6 +666,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Tie points of a file</source>
       <translation>Passpunkte einer Datei</translation>
+    </message>
+    <message>
+      <source>Geotransform of the target, put by hand</source>
+      <translation>Geotransformation des Ziels, von Hand gelegt</translation>
     </message>
     <message>
       <source>Keep the registered raster although a requirement is not met</source>
@@ -1328,12 +1344,12 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Es bleiben: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</translation>
     </message>
     <message>
-      <source>{} is no folder of a finished registration.</source>
-      <translation>{} ist kein Ordner einer fertigen Registrierung.</translation>
-    </message>
-    <message>
       <source>{}: no tiepoints.gpkg. Register again without --no-report.</source>
       <translation>{}: keine tiepoints.gpkg. Registrieren Sie das Paar erneut, ohne --no-report.</translation>
+    </message>
+    <message>
+      <source>{} is no folder of a finished registration.</source>
+      <translation>{} ist kein Ordner einer fertigen Registrierung.</translation>
     </message>
     <message>
       <source>No Python 3.10 or newer was found. Install one (python.org), and name it under “Python”.</source>
@@ -1400,6 +1416,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Diesen Layer ausrichten</translation>
     </message>
     <message>
+      <source>Place</source>
+      <translation>Platzieren</translation>
+    </message>
+    <message>
       <source>More layers to align</source>
       <translation>Weitere Layer ausrichten</translation>
     </message>
@@ -1414,6 +1434,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Wheel of pcwlad-geo</source>
       <translation>Wheel von pcwlad-geo</translation>
+    </message>
+    <message>
+      <source>Choose the layer and another one as its reference on the page “Align” first.</source>
+      <translation>Wählen Sie zuerst den Layer und einen anderen als Referenz auf der Seite „Ausrichten“.</translation>
     </message>
     <message>
       <source>The engine is installed: pcwlad-geo {}</source>
@@ -1482,6 +1506,22 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Saved: {}</source>
       <translation>Gespeichert: {}</translation>
+    </message>
+    <message>
+      <source>Choose the layer on the page “Align” first.</source>
+      <translation>Wählen Sie zuerst den Layer auf der Seite „Ausrichten“.</translation>
+    </message>
+    <message>
+      <source>These places are on one line. Click others.</source>
+      <translation>Diese Stellen liegen auf einer Linie. Klicken Sie andere an.</translation>
+    </message>
+    <message>
+      <source>Put &lt;b&gt;{}&lt;/b&gt; where it belongs on &lt;b&gt;{}&lt;/b&gt;.</source>
+      <translation>Legen Sie &lt;b&gt;{}&lt;/b&gt; dorthin, wo es auf &lt;b&gt;{}&lt;/b&gt; gehört.</translation>
+    </message>
+    <message>
+      <source>{} placed</source>
+      <translation>{} platziert</translation>
     </message>
     <message>
       <source>on</source>
@@ -1706,6 +1746,78 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>The engine is starting…</source>
       <translation>Die Engine startet…</translation>
+    </message>
+    <message>
+      <source>By the mouse</source>
+      <translation>Mit der Maus</translation>
+    </message>
+    <message>
+      <source>Drag moves the layer, Ctrl-drag turns it, Alt-wheel scales it, arrow keys step.</source>
+      <translation>Ziehen verschiebt den Layer, Strg+Ziehen dreht, Alt+Mausrad skaliert, Pfeiltasten gehen schrittweise.</translation>
+    </message>
+    <message>
+      <source>By pairs of places</source>
+      <translation>Mit Stellenpaaren</translation>
+    </message>
+    <message>
+      <source>Two or three clicked pairs of places put the layer.</source>
+      <translation>Zwei oder drei angeklickte Paare von Stellen platzieren den Layer.</translation>
+    </message>
+    <message>
+      <source>dx (map units)</source>
+      <translation>dx (Karteneinheiten)</translation>
+    </message>
+    <message>
+      <source>dy (map units)</source>
+      <translation>dy (Karteneinheiten)</translation>
+    </message>
+    <message>
+      <source>Angle (° to the left)</source>
+      <translation>Winkel (° nach links)</translation>
+    </message>
+    <message>
+      <source>Scale</source>
+      <translation>Maßstab</translation>
+    </message>
+    <message>
+      <source>Opacity</source>
+      <translation>Deckkraft</translation>
+    </message>
+    <message>
+      <source>Takes back the last step: Ctrl-Z.</source>
+      <translation>Macht den letzten Schritt rückgängig: Strg+Z.</translation>
+    </message>
+    <message>
+      <source>Redo</source>
+      <translation>Wiederholen</translation>
+    </message>
+    <message>
+      <source>Does again what was taken back.</source>
+      <translation>Stellt wieder her, was rückgängig gemacht wurde.</translation>
+    </message>
+    <message>
+      <source>Into view</source>
+      <translation>Ins Bild</translation>
+    </message>
+    <message>
+      <source>Puts the layer upright into the middle of the map.</source>
+      <translation>Legt den Layer aufrecht in die Mitte der Karte.</translation>
+    </message>
+    <message>
+      <source>Snap</source>
+      <translation>Einrasten</translation>
+    </message>
+    <message>
+      <source>Aligns the layer with the reference, from where it is put by hand.</source>
+      <translation>Richtet den Layer an der Referenz aus, ausgehend von seiner Lage von Hand.</translation>
+    </message>
+    <message>
+      <source>Save as placed</source>
+      <translation>Platziert speichern</translation>
+    </message>
+    <message>
+      <source>Writes &lt;layer&gt;_placed.vrt: the same pixels, where they are put.</source>
+      <translation>Schreibt &lt;Layer&gt;_placed.vrt: dieselben Pixel, an der gelegten Stelle.</translation>
     </message>
   </context>
 </TS>

@@ -21,6 +21,7 @@ from ..text import tr
 from .choices import Choices
 from .compare import SwipeTool
 from .editor import PointEditor
+from .place_page import PlacePage
 from .runner import Job, Runner
 
 REGISTER, APPLY, INSTALL = (f"pcwlad_geo:{name}" for name in ("register", "apply", "installengine"))
@@ -46,6 +47,8 @@ class AlignDock(gui.QgsDockWidget):
         self.blink = QtCore.QTimer(self)
         self.tabs = uic.loadUi(str(Path(__file__).with_name("align.ui")))
         self.__dict__.update({each.objectName(): each for each in self.tabs.findChildren(QtCore.QObject)})
+        self.place = PlacePage(self._canvas)
+        self.tabs.addTab(self.place, tr("Place"))
         self.setWidget(self.tabs)
         self._fill()
 
@@ -74,11 +77,15 @@ class AlignDock(gui.QgsDockWidget):
         self.blink_button.toggled.connect(self._blink)
         self.with_reference.toggled.connect(lambda: self._swipe(self.swipe_button.isChecked()))
         self.blink.timeout.connect(self.turn)
-        self.tabs.currentChanged.connect(lambda: self._bridge.setCanvasLayers())
+        self.tabs.currentChanged.connect(self._turn_page)
+        self.target.layerChanged.connect(self._turn_page)
+        self.place.snap_button.clicked.connect(lambda: self.snap())
+        self.place.cancel_button.clicked.connect(self._runner.cancel)
         self._bridge.canvasLayersChanged.connect(self._show_page)
         self.closed.connect(self.stop)
         self._runner.stage.connect(self.stage.setText)
-        self._runner.progress.connect(self.progress.setValue)
+        for bar in (self.progress, self.place.progress):
+            self._runner.progress.connect(bar.setValue)
         self._runner.failed.connect(lambda name, why: self._tell(f"{name}: {why}" if name else why))
         self._runner.ended.connect(self._end)
         core.QgsProject.instance().layersWillBeRemoved.connect(self._leave)
@@ -101,6 +108,17 @@ class AlignDock(gui.QgsDockWidget):
             jobs.append(self._job(self.reference.currentLayer(), target, OUTPUT_FOLDER=place))
             jobs[-1].name = target.name() if more and target else ""
         self._begin(jobs)
+
+    def snap(self) -> None:
+        """Align the layer from where it is put by hand; a refusal leaves it there."""
+        reference, target = self.reference.currentLayer(), self.place.layer
+        if target is None or reference is None or reference == target:
+            self._told = []
+            self._tell(tr("Choose the layer and another one as its reference on the page “Align” first."))
+            return
+        where = ",".join(map(repr, self.place.ghost.placement.geotransform(reference.crs())))
+        place = self.out_folder(target, False, [])
+        self._begin([self._job(reference, target, OUTPUT_FOLDER=place, PLACE=where)])
 
     def _job(self, *pair: core.QgsRasterLayer | None, **more: object) -> Job:
         """Return the job that aligns a pair of layers (reference, target) as chosen."""
@@ -156,6 +174,7 @@ class AlignDock(gui.QgsDockWidget):
         for name in ("start_button", "open_button", "open_points_button", "apply_box", "engine_box"):
             getattr(self, name).setDisabled(running)
         self.cancel_button.setEnabled(running)
+        self.place.set_running(running)
 
     def _end(self, cancelled: bool) -> None:
         """Be ready for another run."""
@@ -171,7 +190,8 @@ class AlignDock(gui.QgsDockWidget):
         link = f' <a href="{Path(report).absolute().as_uri()}">{tr("Report")}</a>' if report else ""
         head, tail = (escape(text).replace("\n", "<br>") for text in (message, more))
         self._told += filter(None, [MARKED[grade].format(head) + link, tail])
-        self.verdict.setText("<br>".join(self._told))
+        for label in (self.verdict, self.place.told):
+            label.setText("<br>".join(self._told))
         if tr(INSTALL_ONE) in message:
             missing = tr(NO_ENGINE) in message
             self.index_button.setText(tr("Install engine") if missing else tr("Update engine"))
@@ -220,6 +240,8 @@ class AlignDock(gui.QgsDockWidget):
     def _load(self, job: Job, results: dict[str, Any]) -> None:
         """Load the results, grouped, with the target's own style and name."""
         self._close_editor()
+        if self.tabs.currentWidget() is self.place:
+            self.tabs.setCurrentIndex(0)  # it lies where it belongs
         self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
         self._folder, paths, target = Path(results["OUTPUT_FOLDER"]), results["PATHS"], self._pair[1]
         group = add_group(tr("{} aligned").format(target.name()))
@@ -264,6 +286,13 @@ class AlignDock(gui.QgsDockWidget):
         if "points" in self.layers:
             core.QgsProject.instance().removeMapLayer(self.layers.pop("points").id())
 
+    def _turn_page(self) -> None:
+        """Show what the page is about; only its own page puts the layer by hand."""
+        placing = self.tabs.currentWidget() is self.place
+        pair = self.target.currentLayer(), self.reference.currentLayer()
+        self.place.begin(*pair) if placing else self.place.end()
+        self._bridge.setCanvasLayers()
+
     def _show_page(self, layers: list[core.QgsMapLayer]) -> None:
         """Show on the map what the page is about, of the layers that are switched on."""
         page = self.tabs.currentIndex()
@@ -271,13 +300,14 @@ class AlignDock(gui.QgsDockWidget):
             layers = [self.layers[role] for role in ("points", "reference") if role in self.layers]
         elif page == 2:  # the comparison of rasters, which nothing covers
             layers = [each for each in layers if isinstance(each, core.QgsRasterLayer)]
-        self._canvas.setLayers(layers)
+        self._canvas.setLayers([each for each in layers if each != self.place.layer])
 
     def _leave(self, ids: list[str]) -> None:
         """Let go of layers that leave the project."""
         gone = {role for role, layer in self.layers.items() if layer.id() in ids}
         for role in gone:
             del self.layers[role]
+        self.place.forget(ids)
         if "points" in gone:
             self._close_editor()
         if gone & {"before", "after"}:
@@ -314,6 +344,7 @@ class AlignDock(gui.QgsDockWidget):
         """End the editor, swipe and blink: the dock is closed."""
         self._stop_comparing()
         self.tabs.setCurrentIndex(0)
+        self.place.end()
         self._close_editor()
 
     def close_all(self) -> None:
