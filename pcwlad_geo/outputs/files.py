@@ -157,6 +157,9 @@ _ALWAYS: Final = Condition("always", lambda job: True)
 _PAGE: Final = Condition("unless `--no-report`", lambda job: not job.settings.no_report)
 _PDF: Final = Condition("with `--pdf`", lambda job: job.settings.pdf)
 _MATCHED: Final = Condition("unless the pair is refused", lambda job: job.status != "rejected")
+_WITH_HEIGHTS: Final = Condition(
+    "a target with RPCs, unless refused", lambda job: job.status != "rejected" and job.rpc is not None
+)
 _CORRECTED: Final = Condition("`register`", lambda job: True, corrected=True)
 _SHIFTED: Final = Condition(
     "shift or affine, of a target with georeferencing", _in_geotransform, corrected=True
@@ -240,7 +243,8 @@ def _of_format(form: TiePointFormat) -> Output | None:
             rasters = PointRasters(reference, target, on_map, job.places[form.name])
             write(registration.tie_points, path, rasters)
 
-    return Output(form.name, form.file_name, _MATCHED, form.description, write_table)
+    when = _WITH_HEIGHTS if form.needs_heights else _MATCHED
+    return Output(form.name, form.file_name, when, form.description, write_table)
 
 
 def _corrected_rpc(registration: Registration) -> RpcModel:

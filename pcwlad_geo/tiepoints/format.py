@@ -103,6 +103,8 @@ class TiePointFormat:
     """What the written file is for."""
     write: Callable[[TiePointTable, Path, PointRasters], None] | None = None
     """Writes a table to a path."""
+    needs_heights: bool = False
+    """Whether it is written only of a target with RPCs, whose `grid` knows the height of the ground."""
 
     def __post_init__(self) -> None:
         name = self.file_name.format(name="a.tif", stem="a")

@@ -21,6 +21,8 @@ FORMATS: Final = Registry(
     (
         "pcwlad_geo.tiepoints.qgis_points:QGIS",
         "pcwlad_geo.tiepoints.csv_file:CSV",
+        "pcwlad_geo.tiepoints.gdal_csv:GDAL_CSV",
+        "pcwlad_geo.tiepoints.asp:ASP",
         "pcwlad_geo.tiepoints.geopackage:GEOPACKAGE",
     ),
     ("pcwlad_geo.tiepoints.gcps:GCPS", "pcwlad_geo.tiepoints.envi:ENVI"),
@@ -37,6 +39,8 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
     - QGIS Georeferencer `.points`: columns by name (sourceX or pixelX), commas or tabs, `enable` or not;
     - ENVI `.pts`, image to image or image to map: the header's line "Base Image (x,y), Warp Image (x,y)"
       gives the order; without it the base comes first;
+    - `_gcps.csv`: columns column, line, x, y, as GDAL takes them;
+    - `.gcp` of the Ames Stereo Pipeline: the points that the target shows;
     - a raster with ground control points.
 
     Raises `InputError` if the format is none of these, a cell is not a number, or there is no point.
@@ -100,6 +104,7 @@ def _head_of(path: Path) -> bytes:
 def _unknown(path: str) -> InputError:
     return InputError(
         f"{path} is no file of tie points: give a tiepoints.csv (columns {', '.join(POSITIONS)}), a "
-        "tiepoints.gpkg, a QGIS .points file, an ENVI .pts file or a raster with ground control points"
+        "tiepoints.gpkg, a table of GCPs (column, line, x, y), a QGIS .points file, an ENVI .pts file, an "
+        "ASP .gcp file or a raster with ground control points"
         + "".join(f"; {problem}" for problem in FORMATS.problems())
     )

@@ -71,7 +71,7 @@ PLACES = np.array([[20.0, 10], [200, 10], [200, 200], [20, 200], [110, 100]])
 def test_every_output_is_there(job: Job) -> None:
     assert {path.name for path in job.folder.iterdir()} == {
         "report.html", "report.json", "tiepoints.csv", "tiepoints.gpkg", "b10.tif.points", "b10_gcps.vrt",
-        "b10.pts", "b10_corrected.vrt", "b10_registered.tif",
+        "b10_gcps.csv", "b10.pts", "b10_corrected.vrt", "b10_registered.tif",
     }  # fmt: skip
     assert set(job.report["outputs"]) == {path.name for path in job.folder.iterdir()}
     assert job.report["status"] == "registered"

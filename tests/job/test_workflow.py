@@ -28,7 +28,7 @@ from tests.registrations import SHIFT_PX, make_registration, of_files, write_pai
 from tests.tables import read_table
 
 COMMON = {"report.html", "report.json", "tiepoints.csv", "tiepoints.gpkg"}
-EXCHANGE = {"b10.tif.points", "b10.pts", "b10_gcps.vrt"}
+EXCHANGE = {"b10.tif.points", "b10.pts", "b10_gcps.vrt", "b10_gcps.csv"}
 Use = Callable[..., None]
 
 
@@ -242,7 +242,7 @@ def test_outputs_elsewhere(pair: tuple[Path, Path], use: Use, tmp_path: Path) ->
     }
     workflow.register(*pair, out_dir="out", **places)  # type: ignore[arg-type]
     assert names(tmp_path / "x") == {"fit.tif", "t.csv", "r.html", "p.points"}
-    inside = {"report.json", "tiepoints.gpkg", "b10.pts", "b10_gcps.vrt", "b10_corrected.vrt"}
+    inside = {"report.json", "tiepoints.gpkg", "b10.pts", "b10_gcps.vrt", "b10_gcps.csv", "b10_corrected.vrt"}
     assert names(tmp_path / "out") == inside
     assert set(json.loads((tmp_path / "out" / "report.json").read_text())["outputs"]) == inside
     with pytest.raises(OutputError, match=r"fit.tif exists: give --overwrite"):

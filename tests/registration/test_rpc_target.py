@@ -108,11 +108,14 @@ def test_what_is_written(registered: Registered) -> None:
     assert (np.abs(source_xy) <= SHAPE[1]).all()  # pixels, not degrees
 
 
+SLOWLY_READ = ("image.tif.points", "image.pts", "image_gcps.vrt", "image.gcp")
+
+
 @pytest.mark.parametrize(
     "name",
     [
         "tiepoints.csv",
-        *(pytest.param(n, marks=slow) for n in ("image.tif.points", "image.pts", "image_gcps.vrt")),
+        *(pytest.param(n, marks=slow) for n in SLOWLY_READ),
     ],
 )
 def test_its_own_tie_points_give_the_same_rpc(

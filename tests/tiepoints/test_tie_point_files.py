@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyogrio.raw
 import pytest
 import rasterio
 from affine import Affine
@@ -20,7 +21,9 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import ViewPair, describe, plan_views, transform_xy
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.envi import write_envi
+from pcwlad_geo.tiepoints.format import PointRasters
 from pcwlad_geo.tiepoints.gcps import write_gcps_vrt
+from pcwlad_geo.tiepoints.gdal_csv import GDAL_CSV
 from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.qgis_points import write_points
 from pcwlad_geo.tiepoints.table import TiePointTable, place
@@ -61,13 +64,16 @@ def make_table(pair: ViewPair, seed: int = 0, n: int = 40) -> TiePointTable:
 
 def write_as(kind: str, table: TiePointTable, pair: ViewPair, folder: Path) -> Path:
     target, reference = pair.target.info, pair.reference.info
-    path = folder / {"csv": "t.csv", "qgis": "t.points", "envi": "t.pts", "gcps": "t_gcps.vrt"}[kind]
+    names = {"csv": "t.csv", "qgis": "t.points", "envi": "t.pts", "gcps": "t_gcps.vrt", "table": "t_gcps.csv"}
+    path = folder / names[kind]
     if kind == "csv":
         write_csv(table, path)
     elif kind == "qgis":
         write_points(table, path, target.georeferenced, target.grid)
     elif kind == "envi":
         write_envi(table, path, reference.uri, target.uri)
+    elif kind == "table" and GDAL_CSV.write is not None:
+        GDAL_CSV.write(table, path, PointRasters(reference, target, target.georeferenced, path))
     else:
         write_gcps_vrt(path, target.uri, table, table.crs, final_path=path)
     return path
@@ -81,7 +87,7 @@ def check_same(found: TiePointTable, written: TiePointTable, within_px: float = 
 
 
 @pytest.mark.parametrize("georeferenced", [True, False])
-@pytest.mark.parametrize("kind", ["csv", "qgis", "envi", "gcps"])
+@pytest.mark.parametrize("kind", ["csv", "qgis", "envi", "gcps", "table"])
 @given(seed=st.integers(0, 2**32 - 1))
 @hypothesis_settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_we_write_comes_back(kind: str, georeferenced: bool, tmp_path: Path, seed: int) -> None:
@@ -92,7 +98,7 @@ def test_what_we_write_comes_back(kind: str, georeferenced: bool, tmp_path: Path
     check_same(found, table if kind in ("csv", "qgis") else table[table.status == "matched"])
 
 
-@pytest.mark.parametrize("kind", ["csv", "qgis", "envi", "gcps"])
+@pytest.mark.parametrize("kind", ["csv", "qgis", "envi", "gcps", "table"])
 def test_written_again_it_is_the_same_file(kind: str, pair: ViewPair, tmp_path: Path) -> None:
     table = make_table(pair)
     path = write_as(kind, table, pair, tmp_path)
@@ -293,6 +299,16 @@ def test_gcps_of_a_geotiff(pair: ViewPair, tmp_path: Path) -> None:
         ("a.points", "#CRS: nonsense\nmapX,mapY,sourceX,sourceY\n1,2,3,4\n", "CRS in its first line"),
         ("a.pts", "; Base Image (x,y), Warp Image (x,y)\n1 2 3\n", "line 2 has 3 columns, not 4"),
         ("a.pts", "; Base Image (x,y), Base Image (x,y)\n1 2 3 4\n", "cannot tell base and warp"),
+        ("a.csv", "column,line,x,y\n1,2,3,\n", "1 of 1 points lack a coordinate"),
+        ("a.csv", "column,line,x,y\n1,2,3,z\n", "line 2: y is 'z'"),
+        ("a.gcp", "1 47 15 300 1 1 1 tgt.tif 3 4 0.1\n", "line 1 has 11 cells, not 7 of a point"),
+        ("a.gcp", "1 47 15 300 1 1 1 tgt.tif 3 4 0.1 0\n", "standard deviation is not above 0"),
+        (
+            "a.gcp",
+            "1 47 15 300 1 1 1 a.tif 3 4 1 1 b.tif 3 4 1 1\n",
+            "points of a.tif, b.tif, and none",
+        ),
+        ("a.gcp", "1 47 15 300 1 1 1 tgt.tif 3 x 1 1\n", "line 1: a pixel or its sigma is 'x'"),
         ("a.txt", "", "no file of tie points"),
         ("a.vrt", "<VRTDataset/>", "no file of tie points"),
     ],
@@ -329,3 +345,29 @@ def test_an_affine_of_another_kind(tmp_path: Path) -> None:
     reference_px = np.array([[10.25, 20.5], [390.0, 12.0], [200.0, 250.0]])
     table = place(reference_px, reference_px + 1.5, np.tile(np.eye(2), (3, 1, 1)), np.ones(3), pair)
     check_same(read_tie_points(write_as("qgis", table, pair, tmp_path), pair), table)
+
+
+def test_gdal_reads_the_table_of_gcps_by_its_names(pair: ViewPair, tmp_path: Path) -> None:
+    """GDAL asks a vector layer for these fields; rejected points are no GCPs."""
+    table = make_table(pair)
+    about, _, _, values = pyogrio.raw.read(write_as("table", table, pair, tmp_path))
+    assert list(about["fields"]) == ["column", "line", "x", "y"]
+    accepted = table[table.status == "matched"]
+    read = np.array(values).astype(float).T
+    np.testing.assert_allclose(read, np.hstack([accepted.target_px, accepted.xy]), atol=1e-6)
+
+
+def test_points_of_asp_are_those_of_the_target(pair: ViewPair, tmp_path: Path) -> None:
+    """Pixels count from the middle of the first one, and places are latitude, longitude."""
+    path = tmp_path / "two images.gcp"
+    reference_px = np.array([[100.0, 50.0], [300.0, 200.0]])
+    lon_lat = transform_xy(REFERENCE.to_xy(reference_px), REFERENCE.crs, CRS.from_epsg(4326))
+    lines = ["# points of a block"]
+    for number, (lon, lat) in enumerate(lon_lat.tolist()):
+        seen = f"left.tif 1 2 1 1 images/tgt.tif {10.0 + number} 20.0 0.1 0.2"
+        lines.append(f"{number} {lat:.10f}, {lon:.10f}, 310.5 1 1 1 {seen}")
+    path.write_text("\n".join([*lines, "2 47 15 300 1 1 1 left.tif 7 8 1 1"]) + "\n")
+    table = read_tie_points(path, pair)
+    np.testing.assert_allclose(table.target_px, [[10.5, 20.5], [11.5, 20.5]], atol=1e-9)
+    np.testing.assert_allclose(table.reference_px, reference_px, atol=1e-4)
+    np.testing.assert_allclose(table.sigma_px, [[0.1, 0.2]] * 2)

@@ -115,7 +115,12 @@ def _corrected_item(
     properties = {f"pcwlad_geo:{key}": value for key, value in figures.items()}
     accuracy = _accuracy(frame, number, entry)
     properties |= {} if accuracy is None else accuracy.fields()
-    how: dict[str, Any] = {"collection": "watch", "lineage": LINEAGE, "properties": properties, "links": links}
+    how: dict[str, Any] = {
+        "collection": "watch",
+        "lineage": LINEAGE,
+        "properties": properties,
+        "links": links,
+    }
     return stac_item(name, source.date, assets, **how)
 
 
