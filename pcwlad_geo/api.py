@@ -68,7 +68,7 @@ def open_pair(
         temporary file that lives as long as the pair or what is made of it. A NumPy array has no
         georeferencing: `Raster` gives it one.
     ref_mask, tgt_mask : as reference, optional
-        0 = excluded, or a quality raster (QA_PIXEL, BQA, SCL, MSK_CLASSI).
+        0 = excluded, or a product's quality raster, such as QA_PIXEL or SCL.
     on_event : callable
         Receives `Warned` events; the warnings are in the result too.
     **options

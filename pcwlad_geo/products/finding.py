@@ -17,7 +17,7 @@ from pcwlad_geo.plugins import Registry
 from pcwlad_geo.products.kind import ProductKind
 from pcwlad_geo.products.product import Product
 from pcwlad_geo.raster import FileTree, file_name, is_folder
-from pcwlad_geo.raster.file_tree import is_archive, plain_uri, tree_of
+from pcwlad_geo.raster.file_tree import is_archive, name_in, plain_uri, tree_of
 from pcwlad_geo.types import Float64, PathLike
 
 KINDS: Final = Registry(
@@ -27,6 +27,9 @@ KINDS: Final = Registry(
         "pcwlad_geo.products.landsat:LANDSAT",
         "pcwlad_geo.products.sentinel2:SENTINEL2",
         "pcwlad_geo.products.sentinel1:SENTINEL1",
+        "pcwlad_geo.products.planet:PLANET",
+        "pcwlad_geo.products.hls:HLS",
+        "pcwlad_geo.products.maja:MAJA",
     ),
 )
 """The kinds of products."""
@@ -50,9 +53,8 @@ def products_found_once() -> Iterator[None]:
 def find_product(path: PathLike) -> Product | None:
     """Return the product at a path; None for a plain raster.
 
-    A product is given by a folder or an archive (.zip, .tar, .tar.gz) with a Landsat scene or a
-    Sentinel SAFE, by the MTL file of the former, the MTD_MSIL*.xml or manifest.safe of the latter, or by one
-    image of Sentinel-1. Raises `InputError` if
+    A product is given by a folder or an archive (.zip, .tar, .tar.gz) with its files, by its metadata file
+    (MTL, MTD_MSIL*.xml, manifest.safe …), or, where its kind says so, by one image. Raises `InputError` if
     the product cannot be used, or an archive holds none.
     """
     known = _FOUND.get()
@@ -77,9 +79,13 @@ def _search(path: PathLike) -> Product | None:
         return _only(place, KINDS.ask(lambda kind: _of_file(kind, place), Product))
     product = _in_tree(tree_of(place))
     if product is None:
+        names = [name_in(name) for name in tree_of(place).names]
+        part = next(KINDS.ask(lambda kind: kind.part(names), str), None)
+        if part:
+            raise InputError(f"{path} holds {part}")
         raise InputError(
-            f"{path} holds no Landsat and no Sentinel product: give a raster inside it as "
-            "/vsizip/… or /vsitar/…" + _problems()
+            f"{path} holds no Landsat and no Sentinel product, and no other that is known: give a raster "
+            "inside it as /vsizip/… or /vsitar/…" + _problems()
         )
     return product
 
@@ -179,8 +185,8 @@ def no_product(path: str, band: str | None = None) -> str | None:
             "leave the band out, or give the folder of the product"
         )
     return (
-        f"band {band} of {path}: it is no product, and only the bands of Landsat and Sentinel products "
-        "have names; give the number of a band, from 1" + _problems()
+        f"band {band} of {path}: it is no product, and only the bands of Landsat, Sentinel and other "
+        "products have names; give the number of a band, from 1" + _problems()
     )
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
+from pcwlad_geo.raster import FileTree
+from pcwlad_geo.raster.file_tree import name_in
 from pcwlad_geo.raster.masks import is_quality_raster
 from pcwlad_geo.types import PathLike
 
@@ -34,3 +37,29 @@ def rasters_of(folder: PathLike) -> list[str]:
     files = [file for file in entries if file.suffix.casefold() in RASTERS]
     files = files or [file for file in entries if file.suffix.casefold() in PICTURES]
     return [os.fspath(file) for file in files if not is_quality_raster(file.name)]
+
+
+def by_scene(names: Iterable[str], pattern: re.Pattern[str]) -> dict[str, dict[str, str]]:
+    """Return the files of each scene by their parts in capitals.
+
+    The `pattern` of a file's name has the groups ``scene`` and ``part``.
+    """
+    scenes: dict[str, dict[str, str]] = {}
+    for name in names:
+        match = pattern.fullmatch(name_in(name))
+        if match:
+            scenes.setdefault(match["scene"], {})[match["part"].upper()] = name
+    return scenes
+
+
+def beside(path: Path) -> FileTree:
+    """Return the files of a file's folder, without those of folders in it."""
+    return FileTree(
+        path.parent, tuple(sorted(entry.name for entry in path.parent.iterdir() if entry.is_file()))
+    )
+
+
+def scene_by(pattern: re.Pattern[str], path: Path) -> str | None:
+    """Return the scene of a file by its name; None for another file."""
+    match = pattern.fullmatch(path.name)
+    return match["scene"] if match else None

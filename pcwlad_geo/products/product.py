@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import open_raster
+from pcwlad_geo.raster import Bands, open_raster
 
 _PIXEL_SIZE: Final = re.compile(r"_\d+m$")
 """End of the name of a band at one of several pixel sizes, such as B04_20m."""
@@ -25,8 +26,10 @@ class ProductBand:
     scale: float | None = None
     offset: float | None = None
     """Physical value = number · scale + offset, if stated only in the product's metadata."""
-    nodata: float = 0
-    """Nodata value of the stored numbers, for a file that states none."""
+    nodata: float | None = 0
+    """Nodata value of the stored numbers, for a file that states none; None: all are data."""
+    number: int = 1
+    """Number of the band in the file, from 1."""
 
     def opened_as(self) -> str:
         """Return the URI to open: the file, with nodata (and scale, offset) declared if it lacks them.
@@ -36,7 +39,7 @@ class ProductBand:
         with open_raster(self.uri) as dataset:
             has_nodata = dataset.nodatavals[0] is not None
             has_scale = dataset.scales[0] != 1.0 or dataset.offsets[0] != 0.0
-        items = [] if has_nodata else [f"a_nodata={self.nodata}"]
+        items = [] if has_nodata or self.nodata is None else [f"a_nodata={self.nodata}"]
         if self.scale is not None and not has_scale:
             items += [f"a_scale={self.scale!r}", f"a_offset={self.offset or 0.0!r}"]
         if not items:
@@ -66,6 +69,10 @@ class Product:
     """Names of bands that show the atmosphere (cirrus) instead of the ground."""
     radar: bool = False
     """Whether it is radar: clouds do not hide the ground, and its only band needs no name."""
+    of_one_file: bool = False
+    """Whether one file holds all bands, so that their numbers choose them too."""
+    mask_file: str = ""
+    """Name of the file of the quality raster, for the message where it is missing."""
 
     def band(self, name: str | int) -> ProductBand:
         """Return a band by name, the first of several names separated by commas.
@@ -76,8 +83,13 @@ class Product:
         if self.radar and name == 1 and len(self.bands) == 1:
             return self.bands[0]
         if not isinstance(name, str):
+            numbered = {band.number: band for band in self.bands if self.of_one_file}
+            if name in numbered:
+                return numbered[name]
             raise InputError(
-                f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band; "
+                f"{self.path} ({self.kind}) has no band {name}: it holds {held}"
+                if self.of_one_file
+                else f"{self.path} is a {self.kind} product: say which band by name (--ref-band, --tgt-band; "
                 f"PRODUCT:NAME for qa); it holds {held}"
             )
         name = name.removeprefix("pca:").partition(",")[0]
@@ -88,6 +100,26 @@ class Product:
                 + (f"; its metadata list {', '.join(self.missing)} besides" if self.missing else "")
             )
         return bands[name.upper()]
+
+    def chosen(self, choice: int | str) -> tuple[ProductBand, ...]:
+        """Return the bands that an option names: one, several that make one image, or ``pca`` of them.
+
+        Numbers and ``pca`` alone choose among the bands of one file. Raises `InputError` if there is no band
+        of that name.
+        """
+        numbers = Bands.of_file(self.path, choice) if self.of_one_file else None
+        if numbers is not None:
+            return tuple(self.band(part.band) for part in numbers.parts) or self.bands
+        names = choice.removeprefix("pca:").split(",") if isinstance(choice, str) else [choice]
+        return tuple(self.band(name) for name in names)
+
+    def single(self, path: Path, name: str) -> Product:
+        """Return the product of one band's file alone, with the mask of the whole."""
+        band = self.band(name)
+        aliases = {alias: other for alias, other in self.aliases.items() if other == band}
+        return replace(
+            self, path=str(path), bands=(band,), missing=(), aliases=aliases, cirrus=(), of_one_file=True
+        )
 
     def ground_bands(self) -> tuple[tuple[ProductBand, ...], tuple[str, ...]]:
         """Return the bands that show the ground, and messages about those left out.
@@ -112,7 +144,10 @@ class Product:
         """Return the warnings for the use of the product's bands; `masked`: the user gives a mask."""
         warnings = []
         if not masked and self.mask is None and not self.radar:
-            warnings.append(f"{self.path} ({self.kind}) has no quality raster: its clouds are not masked")
+            named = f" ({self.mask_file})" if self.mask_file else ""
+            warnings.append(
+                f"{self.path} ({self.kind}) has no quality raster{named}: its clouds are not masked"
+            )
         if self.path.lower().endswith("gz"):
             warnings.append(
                 f"{self.path} is compressed as a whole, and reading parts of it is slow: unpack it"
@@ -120,13 +155,14 @@ class Product:
         return tuple(warnings)
 
     def others(self, band: ProductBand) -> tuple[ProductBand, ...]:
-        """Return all bands except one.
+        """Return one band of each other file.
 
         Raises `InputError` if the product is not complete.
         """
         self._check_complete(f"give the file of band {band.name} itself to correct no other")
         same = _PIXEL_SIZE.sub("", band.name)
-        return tuple(other for other in self.bands if other.name != same)
+        files = {other.uri: other for other in self.bands if other.name != same and other.uri != band.uri}
+        return tuple(files.values())
 
     def _check_complete(self, otherwise: str) -> None:
         if self.missing:

@@ -35,11 +35,12 @@ _QUANTIFICATION: Final = ("QUANTIFICATION_VALUE", "BOA_QUANTIFICATION_VALUE")
 _SENTINEL2_BAND: Final = re.compile(
     r"^(?:L2A_)?(?:T\d{2}[A-Z]{3}_\d{8}T\d{6}|S2[A-D]_.*)_B(\d{1,2}|8A)(?:_\d+m)?$", re.IGNORECASE
 )
-_SENTINEL2_M: Final = {
+SENTINEL2_M: Final = {
     **dict.fromkeys(("1", "9", "10"), 60.0),
     **dict.fromkeys(("2", "3", "4", "8"), 10.0),
     **dict.fromkeys(("5", "6", "7", "8A", "11", "12"), 20.0),
 }
+"""Pixel sizes by the bands' numbers."""
 _SENTINEL2_NAME: Final = re.compile(r".*_B\d[\dA](_\d\dm)?\.jp2|IMG_DATA|R\d\dm", re.IGNORECASE)
 
 
@@ -147,7 +148,7 @@ def _scene_of(file: Path) -> str | None:
 
 def _native_px_m(stem: str, description: str | None) -> float | None:
     match = _SENTINEL2_BAND.match(stem)
-    return _SENTINEL2_M.get(match[1].upper().lstrip("0")) if match else None
+    return SENTINEL2_M.get(match[1].upper().lstrip("0")) if match else None
 
 
 def _part(names: Sequence[str]) -> str | None:

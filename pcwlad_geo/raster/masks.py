@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.types import Bool
 
-MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI"]
+MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI", "Fmask", "UDM2", "CLM"]
 """zeros: 0 = excluded; the other kinds have the names that the products give them."""
 
 _EXCLUDED: Final[dict[str, tuple[int, ...]]] = {
@@ -21,8 +21,9 @@ _EXCLUDED: Final[dict[str, tuple[int, ...]]] = {
     "BQA": (0, 1, 4, 6, 8, 12),  # fill, dropped or hidden, cloud, above a third of cloud, shadow, cirrus
     "older BQA": (0, 1, 2, 13, 15),  # fill, dropped, hidden, above a third of cirrus, cloud
     "SCL": (0, 1, 3, 8, 9, 10),  # no data, defective, cloud shadow, medium or high cloud, cirrus
+    "Fmask": (0, 1, 2, 3),  # cirrus, cloud, beside cloud or shadow, shadow; fill sets all
 }
-"""Bits of Landsat's quality rasters, and classes of Sentinel-2, whose pixels are excluded.
+"""Bits of quality rasters of Landsat and HLS, and classes of Sentinel-2, whose pixels are excluded.
 
 Landsat has the confidence of clouds, shadow and cirrus in thirds. The older kind is that of before the
 Collections.
@@ -31,15 +32,25 @@ _OLDER_BQA: Final = 1 << 13
 """Least value of before the Collections, which always sets one of the bits that Collection 1 leaves empty."""
 _CLASSI_BANDS: Final = 1, 2
 """Bands of the Sentinel-2 mask whose nonzero pixels are excluded: opaque clouds, cirrus (3 is snow)."""
+_UDM2_BANDS: Final = 3, 5, 6, 8
+"""Bands of Planet's mask that exclude: shadow, heavy haze, cloud, and the bits of the older mask."""
+_UDM2_OLDER_CLOUD: Final = 1 << 1
+"""The bit of band 8 that does not exclude, as it also marks snow."""
+FLAGS_ONLY: Final = ("UDM2", "CLM")
+"""Kinds whose 0 is clear ground even where the file declares it as nodata."""
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
 _NAMES: Final[dict[MaskKind, str]] = {
     "QA_PIXEL": rf"(^|_)QA_PIXEL{_ENDINGS}",
     "BQA": rf"(^|_)BQA{_ENDINGS}",
     "SCL": rf"(^|_)SCL{_ENDINGS}",
     "MSK_CLASSI": rf"(^|_)MSK_CLASSI(_B00)?{_ENDINGS}",
+    "Fmask": r"^HLS\..*\.Fmask(\.\w+)?$",
+    "UDM2": r"(^|_)udm2(_clip)?(\.\w+)?$",
+    "CLM": r"(^|_)CLM_(R[123]|XS)(\.\w+)?$",
 }
 _OTHERS: Final = re.compile(
-    rf"(^|_)(QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}",
+    rf"(^|_)(QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}|"
+    r"^HLS\..*\.[SV][AZ]A\.\w+$|_L2A_.*_(ATB|IAB|EDG|SAT|MG2|DFP|DTF|PIX)_(R[123]|XS)\.\w+$|_DN_udm(_clip)?\.\w+$",
     re.IGNORECASE,
 )
 """Quality rasters with values of another meaning; as masks of zeros they would exclude the wrong pixels."""
@@ -59,8 +70,8 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
                 return kind  # type: ignore[no-any-return]  # get_args has no types
     if _OTHERS.search(names[0]):
         raise InputError(
-            f"the mask {uri} is a quality raster whose values are not read: give QA_PIXEL, BQA, SCL, "
-            "MSK_CLASSI, or a mask of your own (0 = excluded) under another name"
+            f"the mask {uri} is a quality raster whose values are not read: give "
+            f"{', '.join(get_args(MaskKind)[1:])}, or a mask of your own (0 = excluded) under another name"
         )
     return "zeros"
 
@@ -73,7 +84,7 @@ def is_quality_raster(name: str) -> bool:
 
 def bands_of(kind: MaskKind) -> tuple[int, ...]:
     """Return the numbers of the bands, from 1, that a kind of mask consists of."""
-    return _CLASSI_BANDS if kind == "MSK_CLASSI" else (1,)
+    return {"MSK_CLASSI": _CLASSI_BANDS, "UDM2": _UDM2_BANDS}.get(kind, (1,))
 
 
 def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
@@ -82,8 +93,13 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
     The (bands, rows, cols) `values` are those of the bands of `bands_of`, with the dtype of the file; NaN
     excludes. The result is a (rows, cols) array of bool.
     """
-    if kind == "QA_PIXEL":
+    if kind in ("QA_PIXEL", "Fmask"):
         return _without(kind, values[0])
+    if kind == "UDM2":
+        *classes, older = values
+        return np.asarray(((older | _UDM2_OLDER_CLOUD) == _UDM2_OLDER_CLOUD) & ~np.any(classes, axis=0))
+    if kind == "CLM":
+        return np.asarray(values[0] == 0)
     if kind == "BQA":
         older, later = (_without(bits, values[0]) for bits in ("older BQA", "BQA"))
         return np.where(values[0] >= _OLDER_BQA, older, later)

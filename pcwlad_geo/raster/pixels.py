@@ -14,7 +14,7 @@ from pcwlad_geo.estimation.plausible import is_plausible
 from pcwlad_geo.in_memory import equals_nodata
 from pcwlad_geo.raster.gdal import GDAL_ERRORS
 from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.masks import accepted, bands_of
+from pcwlad_geo.raster.masks import FLAGS_ONLY, accepted, bands_of
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.source import RasterInfo, mask_on_pixels
 from pcwlad_geo.types import Bool
@@ -61,12 +61,16 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
         try:
             if mask_on_pixels(info, info.mask_grid):
                 values = dataset.read(bands, window=file_window)
-                inside = valid_in_file(dataset, bands[0], values[0], file_window)
-                return inside & accepted(info.mask_kind, values)
+                clear = accepted(info.mask_kind, values)
+                if info.mask_kind in FLAGS_ONLY:
+                    return clear
+                return clear & valid_in_file(dataset, bands[0], values[0], file_window)
             grid, (rows, cols) = info.grid, info.grid.shape
             mask = info.mask_grid.in_turn_of(grid)
             place = {"crs": grid.crs, "transform": grid.transform, "height": rows, "width": cols}
             place |= {"src_crs": mask.crs, "src_transform": mask.transform, "resampling": Resampling.nearest}
+            if info.mask_kind in FLAGS_ONLY:
+                place["src_nodata"] = None
             with WarpedVRT(dataset, **place, tolerance=0.02, add_alpha=True) as warped:
                 inside = warped.read(warped.count, window=file_window) != 0
                 return np.asarray(inside & accepted(info.mask_kind, warped.read(bands, window=file_window)))

@@ -101,7 +101,7 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
     tgt = _side(target, "tgt", settings)
     notes = ref.notes + tgt.notes + KINDS.problems() + FORMATS.problems()
     product = tgt.product if all_bands else None
-    candidates = product.others(product.band(settings.tgt_band)) if product else ()
+    candidates = product.others(product.chosen(settings.tgt_band)[0]) if product else ()
     other_bands = tuple(band for band in candidates if band.uri != ref.file)
     if len(other_bands) < len(candidates):
         notes += (
@@ -166,12 +166,12 @@ def _side(path: PathLike, side: Side, settings: Settings) -> _Side:
         if bands is None or problem is not None:
             raise InputError(problem or f"band {name} of {path} is no number")
         return _Side(os.fspath(path), os.fspath(path), bands, {})
-    names = name.removeprefix("pca:").split(",") if isinstance(name, str) else [name]
-    bands_of_product = [product.band(band_name) for band_name in names]
-    parts = tuple(BandPart(band.opened_as(), 1) for band in bands_of_product)
-    bands = Bands(parts, principal=str(name).startswith("pca:"))
+    bands_of_product = product.chosen(name)
+    opened = {band.uri: band.opened_as() for band in bands_of_product}
+    parts = tuple(BandPart(opened[band.uri], band.number) for band in bands_of_product)
+    bands = Bands(parts, principal=str(name).startswith("pca"))
     changes = {
-        f"{side}_band": name if len(bands_of_product) > 1 else 1,
+        f"{side}_band": name if len(parts) > 1 else bands.first,
         f"{side}_mask": user_mask or product.mask,
     }
     notes = product.notes(user_mask is not None)

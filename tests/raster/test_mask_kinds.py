@@ -16,6 +16,7 @@ from pcwlad_geo.raster.masks import accepted, kind_of
 from pcwlad_geo.raster.pixels import valid_in_mask_file
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.registration import register_pair
+from tests.delivered_files import HLS, MAJA
 from tests.scenes import make_grid, render
 from tests.scenes import write as write_scene
 
@@ -187,3 +188,23 @@ def test_clouds_hold_no_tie_points(tmp_path: Path) -> None:
     at = found.tie_points.select("fit", "check", "unused").target_px
     assert len(at) > 20
     assert (cloud[tuple(np.floor(at[:, ::-1]).astype(int).T)] == CLEAR).all()
+
+
+def test_bits_and_classes_of_hls_maja_and_planet() -> None:
+    bits = np.array([[[1 << bit for bit in range(8)]]], "uint8")
+    assert accepted("Fmask", bits).tolist() == [[False] * 4 + [True] * 4]
+    assert accepted("CLM", np.array([[[0, 1, 16, 128]]], "uint8")).tolist() == [[True, False, False, False]]
+    shadow, heavy_haze, cloud = (np.array([[0, *row]], "uint8") for row in np.eye(3, 5, dtype="uint8"))
+    older = np.array([[0, 0, 0, 0, 1, 2]], "uint8")  # fill; the older mask's cloud, which may be snow
+    kept = accepted("UDM2", np.stack([shadow, heavy_haze, cloud, older]))
+    assert kept.tolist() == [[True, False, False, False, False, True]]
+
+
+def test_only_masks_of_these_formats_are_read_as_such() -> None:
+    """Fmask of other programs has classes, and 8 bands are the least of UDM2."""
+    assert kind_of("LC08_Fmask.tif", [None], ["uint8"]) == "zeros"
+    with pytest.raises(InputError, match="named like a UDM2 raster, which has 8 whole-number bands"):
+        kind_of("x_udm2.tif", [None], ["uint8"])
+    for name in (f"{HLS}.SZA.tif", f"{MAJA}_MG2_R1.tif", "20180605_092324_0f2b_3B_AnalyticMS_DN_udm.tif"):
+        with pytest.raises(InputError, match="whose values are not read"):
+            kind_of(name, [None], ["uint8"])

@@ -119,7 +119,8 @@ def _of_product(
     notes += product.notes(mask is not None)
     product_mask = mask or product.mask
     return [
-        RequestedBand(band.opened_as(), 1, product_mask, band.name, product.path, notes) for band in bands
+        RequestedBand(band.opened_as(), band.number, product_mask, band.name, product.path, notes)
+        for band in bands
     ]
 
 

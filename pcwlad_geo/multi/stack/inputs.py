@@ -18,6 +18,7 @@ from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, date_in, rasters_of
+from pcwlad_geo.products.product import Product
 from pcwlad_geo.raster import Bands, RasterInfo, describe, file_name, is_folder, plain_name
 from pcwlad_geo.text import is_uri, read_json, read_text, whole
 from pcwlad_geo.types import PathLike
@@ -79,7 +80,8 @@ class StackInput:
         """Describe the band that is matched; raises `InputError` if it cannot be read."""
         product = find_product(self.path)
         if product is not None:
-            return describe(product.band(self.band).opened_as(), mask=self.mask or product.mask)
+            band = product.chosen(self.band)[0]
+            return describe(band.opened_as(), band=band.number, mask=self.mask or product.mask)
         bands = Bands.of_file(self.path, self.band)
         return describe(self.path, band=bands.first if bands else 1, mask=self.mask)
 
@@ -99,13 +101,13 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
             yield from (_of_row(row, place.parent, band) for row in read_table(place, ("image",)))
         elif image.casefold().endswith((".json", ".geojson")):
             yield from _of_stac(place, band)
-        elif len(products) == 1 and image in products and not isinstance(band, str):
+        elif len(products) == 1 and image in products and _is_many_images(products[image], band):
             yield from (_named(image, product_band.name) for product_band in products[image].showing_ground())
         elif is_folder(place) and image not in products:
             files = rasters_of(place)
             if not files:
                 raise InputError(f"{image} holds no raster ({', '.join(RASTERS + PICTURES)})")
-            yield from (_named(file, band) for file in files)
+            yield from (_named(file, band) for file in files if _has_band(file, band))
         elif set(image) & set("*?[") and not (is_uri(image) or place.exists()):
             raise InputError(
                 f"{image} is a pattern that no file matches: check the folder and the spelling, or name the "
@@ -113,6 +115,19 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
             )
         else:
             yield _named(image, band)
+
+
+def _is_many_images(product: Product, band: int | str) -> bool:
+    """Whether a product without a name of a band has its bands in files of their own."""
+    return not isinstance(band, str) and not product.of_one_file
+
+
+def _has_band(file: str, band: int | str) -> bool:
+    """Whether a file of a folder is no band of a product, or the one of this name."""
+    product = find_product(file)
+    if product is None or not isinstance(band, str) or Bands.of_file("", band):
+        return True
+    return band.upper() in {*product.aliases, *(held.name.upper() for held in product.bands)}
 
 
 def check_reference(reference: str | None, names: Sequence[str]) -> None:
@@ -142,7 +157,7 @@ def _named(path: str, band: int | str, fields: Mapping[str, Any] | None = None) 
     """Return an image with the name of its file, and a date where its path tells one."""
     values = dict(fields or {})
     product = find_product(path)
-    file = path if product is None or not isinstance(band, str) else product.band(band).uri
+    file = path if product is None or not isinstance(band, str) else product.chosen(band)[0].uri
     values["name"] = plain_name(values.get("name") or Path(file_name(file)).stem)
     if not values.get("date") and (date := date_in(path)):
         values["date"] = date
