@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pcwlad_geo_qgis.algorithms.base import MODELS
-from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRasterLayer
+from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRasterLayer, QgsVectorLayer
 from qgis.PyQt.QtCore import QObject, QPoint, Qt, QUrl, pyqtSlot
 from qgis.PyQt.QtGui import QDesktopServices
 from qgis.PyQt.QtTest import QTest
@@ -55,6 +55,9 @@ def steps() -> Iterator[int]:
     seen["several"] = dock.verdict.text()
     grab(window, "several")
     dock.choices.set("OTHERS", [layers["other"].id()])
+    drawn = QgsVectorLayer(f"{JOB['drawn']}|layername=plots", "plots", "ogr")
+    QgsProject.instance().addMapLayer(drawn)
+    dock.choices.set("DRAWN", [drawn.id()])
     dock.apply_button.click()
     yield from wait(dock)
     seen["applied"] = dock.verdict.text()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from osgeo import gdal
+from test_move import plots
 from test_window import PICTURES, keep_pictures, run_in_window
 
 
@@ -33,6 +34,7 @@ def places(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
         (folder / name).mkdir()
         found[name] = str(folder / name / path.name)
         shutil.copy(path, found[name])
+    found["drawn"] = str(plots(folder / "plots.gpkg", sample[0]))
     found["mask"] = str(mask(folder / "mask.tif", sample[0]))
     return found
 
@@ -88,6 +90,8 @@ def test_the_mask_keeps_tie_points_out(seen: dict[str, Any], places: dict[str, s
 
 def test_the_correction_is_applied_to_other_bands(seen: dict[str, Any], places: dict[str, str]) -> None:
     assert "✔ other is corrected." in seen["applied"]
+    assert "✔ plots is corrected." in seen["applied"]
+    assert seen["groups"]["other aligned"][0] == "plots"  # vectors above rasters
     assert seen["groups"]["other aligned"].count("other") == 2
     place = registered(places, "other") / "landsat_b10_registered_2.tif"
     made, first = gdal.Open(str(place)), gdal.Open(str(place.with_name("landsat_b10_registered.tif")))
@@ -134,7 +138,7 @@ def test_the_help_needs_no_network(seen: dict[str, Any]) -> None:
     assert page.endswith("pcwlad_geo_qgis/manual/index.html")
     text = Path(page.removeprefix("file://")).read_text(encoding="utf-8")
     assert "Align a layer" in text
-    assert len(seen["algorithm_help"]) == 11
+    assert len(seen["algorithm_help"]) == 13
     for address in seen["algorithm_help"]:
         assert address.startswith(f"{page}#")
         assert f'id="{address.split("#")[1]}"' in text

@@ -109,6 +109,8 @@ def test_the_toolbox_lists_the_algorithms(seen: dict[str, Any]) -> None:
         "Match only",
         "Prove a pair",
         "Apply registration",
+        "Apply registration to vectors",
+        "Shift layers by",
         "Band-to-band QA",
         "Check engine",
         "Install engine",

@@ -67,6 +67,12 @@ PARAMETERS = {
     "OUTPUT_CSV": mark("The figures as a table."),
     "REGISTRATION": mark("The folder that “Register raster” wrote as “Folder of all results”."),
     "INPUTS": mark("Rasters of the same ground."),
+    "shift.INPUTS": mark("Rasters in one CRS, and vector layers in any."),
+    "applyvectors.INPUTS": mark("Layers that were drawn on the target as it was."),
+    "DX": mark("In the units of the CRS of the first layer, to the right."),
+    "DY": mark("In the units of the CRS of the first layer, up."),
+    "ANGLE": mark("Counter-clockwise, about the middle of the first layer, before the shift."),
+    "INVERSE": mark("From where the layers belong to where the uncorrected target draws them."),
     "CAPTURES": mark("Raw frames as the camera wrote them, one file a lens, of captures in flight."),
     "RIG": mark("What an earlier run has learned of this camera. Not set: it is learned from the frames."),
     "BANDS": mark("The bands that are compared. Not set: all."),
@@ -145,6 +151,12 @@ TITLES = {
     "watch.EXTRA": mark("More options of the command line, such as --add image.tif"),
     "REGISTRATION": mark("Registration (folder of all results)"),
     "INPUTS": mark("Rasters"),
+    "shift.INPUTS": mark("Layers"),
+    "applyvectors.INPUTS": mark("Vector layers"),
+    "DX": mark("dx"),
+    "DY": mark("dy"),
+    "ANGLE": mark("Angle, degrees"),
+    "INVERSE": mark("Back, onto the uncorrected target"),
     "CAPTURES": mark("Folder of raw frames"),
     "RIG": mark("RIG.json of this camera (not set: learned)"),
     "registermany.INPUTS": mark("Targets (move)"),
@@ -367,6 +379,10 @@ OPEN_OPTIONS = mark(
 FILTERED = mark(
     "The layer “{}” shows a part of its file (filter {}). Remove the filter, or save it as a file."
 )
+NO_VECTOR = mark(
+    "The layer “{}” is no file as QGIS shows it: it has unsaved edits, a filter, or another CRS, or is of a "
+    "database. Save it as a file first."
+)
 """What is told of layers that the engine cannot open."""
 ONLY_GEOREFERENCE = mark(
     "Only georeferencing takes the models shift and affine: choose one of them, or automatic."
@@ -379,6 +395,7 @@ NO_MATCH = mark(
 )
 """What is told of a point that was placed by hand alone."""
 MORE_LAYERS = mark("Other rasters that are aligned with the same reference, one after the other.")
+DRAWN = mark("Vector layers that were drawn on the layer as it was. They are moved as its pixels were.")
 OTHER_BANDS = mark(
     "Rasters of the same pixels' place as the layer, such as its other bands, of any pixel size."
 )

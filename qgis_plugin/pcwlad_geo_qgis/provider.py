@@ -8,7 +8,7 @@ from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import QgsProcessingProvider
 from qgis.PyQt import QtCore, QtGui
 
-from .algorithms import band_qa, engine, many, match, register, rig, stack
+from .algorithms import band_qa, engine, many, match, move, register, rig, stack
 from .model.settings import SETTING
 from .text import speak, tr
 
@@ -47,7 +47,7 @@ class PcwladGeoProvider(QgsProcessingProvider):
         ProcessingConfig.removeSetting(SETTING)
 
     def loadAlgorithms(self) -> None:
-        for module in (band_qa, engine, many, match, register, rig, stack):
+        for module in (band_qa, engine, many, match, move, register, rig, stack):
             for kind in vars(module).values():  # what has an id, and is not imported there
                 if getattr(kind, "ID", "") and kind.__module__ == module.__name__:
                     self.addAlgorithm(kind())

@@ -198,6 +198,26 @@ What the two bands show at different places by nature (shadows, warm walls) no p
 Was die beiden Kanäle von Natur aus an verschiedenen Stellen zeigen (Schatten, warme Wände), sieht keine solche Prüfung; der Bericht sagt, womit zu rechnen ist.</translation>
     </message>
     <message>
+      <source>Shift layers by</source>
+      <translation>Layer verschieben um</translation>
+    </message>
+    <message>
+      <source>Moves many rasters and vectors by the same amount. Pixels and attributes stay as they are: a raster becomes a small file (VRT) that shows the same pixels elsewhere, a vector file a moved copy.
+dx and dy are in the units of the CRS of the first layer; the rotation is about its middle, and before the shift.</source>
+      <translation>Verschiebt viele Raster und Vektoren um denselben Betrag. Pixel und Attribute bleiben, wie sie sind: Ein Raster wird zu einer kleinen Datei (VRT), die dieselben Pixel anderswo zeigt, eine Vektordatei zu einer verschobenen Kopie.
+dx und dy sind in den Einheiten des KBS des ersten Layers; gedreht wird um seine Mitte, vor der Verschiebung.</translation>
+    </message>
+    <message>
+      <source>Apply registration to vectors</source>
+      <translation>Registrierung auf Vektoren anwenden</translation>
+    </message>
+    <message>
+      <source>Moves vector layers that were drawn on the target of a finished registration to where they belong. Attributes, CRS and heights stay; all layers of a file are moved.
+&lt;b&gt;Registration&lt;/b&gt;: the folder that “Register raster” wrote as &lt;i&gt;Folder of all results&lt;/i&gt;.</source>
+      <translation>Verschiebt Vektorlayer, die auf dem Ziel einer fertigen Registrierung gezeichnet wurden, dorthin, wo sie hingehören. Attribute, KBS und Höhen bleiben; alle Layer einer Datei werden verschoben.
+&lt;b&gt;Registrierung&lt;/b&gt;: der Ordner, den „Raster registrieren“ als &lt;i&gt;Ordner aller Ergebnisse&lt;/i&gt; geschrieben hat.</translation>
+    </message>
+    <message>
       <source>Georeferencer points (*.points)</source>
       <translation>Punkte der Georeferenzierung (*.points)</translation>
     </message>
@@ -344,6 +364,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Der Layer „{}“ zeigt einen Teil seiner Datei (Filter {}). Entfernen Sie den Filter, oder speichern Sie ihn als Datei.</translation>
     </message>
     <message>
+      <source>The layer “{}” is no file as QGIS shows it: it has unsaved edits, a filter, or another CRS, or is of a database. Save it as a file first.</source>
+      <translation>Der Layer „{}“ ist keine Datei, wie QGIS ihn zeigt: Er hat ungespeicherte Änderungen, einen Filter oder ein anderes KBS, oder kommt aus einer Datenbank. Speichern Sie ihn zuerst als Datei.</translation>
+    </message>
+    <message>
       <source>Only georeferencing takes the models shift and affine: choose one of them, or automatic.</source>
       <translation>Nur georeferenzieren lassen sich die Modelle Verschiebung und affin: Wählen Sie eines davon, oder automatisch.</translation>
     </message>
@@ -358,6 +382,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Other rasters that are aligned with the same reference, one after the other.</source>
       <translation>Weitere Raster, die nacheinander an derselben Referenz ausgerichtet werden.</translation>
+    </message>
+    <message>
+      <source>Vector layers that were drawn on the layer as it was. They are moved as its pixels were.</source>
+      <translation>Vektorlayer, die auf dem unkorrigierten Layer gezeichnet wurden. Sie werden wie seine Pixel verschoben.</translation>
     </message>
     <message>
       <source>Rasters of the same pixels' place as the layer, such as its other bands, of any pixel size.</source>
@@ -514,6 +542,30 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Rasters of the same ground.</source>
       <translation>Raster desselben Geländes.</translation>
+    </message>
+    <message>
+      <source>Rasters in one CRS, and vector layers in any.</source>
+      <translation>Raster in einem KBS, und Vektorlayer in beliebigen.</translation>
+    </message>
+    <message>
+      <source>Layers that were drawn on the target as it was.</source>
+      <translation>Layer, die auf dem unkorrigierten Ziel gezeichnet wurden.</translation>
+    </message>
+    <message>
+      <source>In the units of the CRS of the first layer, to the right.</source>
+      <translation>In den Einheiten des KBS des ersten Layers, nach rechts.</translation>
+    </message>
+    <message>
+      <source>In the units of the CRS of the first layer, up.</source>
+      <translation>In den Einheiten des KBS des ersten Layers, nach oben.</translation>
+    </message>
+    <message>
+      <source>Counter-clockwise, about the middle of the first layer, before the shift.</source>
+      <translation>Gegen den Uhrzeigersinn, um die Mitte des ersten Layers, vor der Verschiebung.</translation>
+    </message>
+    <message>
+      <source>From where the layers belong to where the uncorrected target draws them.</source>
+      <translation>Von dort, wo die Layer hingehören, dorthin, wo das unkorrigierte Ziel sie zeigt.</translation>
     </message>
     <message>
       <source>Raw frames as the camera wrote them, one file a lens, of captures in flight.</source>
@@ -770,6 +822,30 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Rasters</source>
       <translation>Raster</translation>
+    </message>
+    <message>
+      <source>Layers</source>
+      <translation>Layer</translation>
+    </message>
+    <message>
+      <source>Vector layers</source>
+      <translation>Vektorlayer</translation>
+    </message>
+    <message>
+      <source>dx</source>
+      <translation>dx</translation>
+    </message>
+    <message>
+      <source>dy</source>
+      <translation>dy</translation>
+    </message>
+    <message>
+      <source>Angle, degrees</source>
+      <translation>Winkel, Grad</translation>
+    </message>
+    <message>
+      <source>Back, onto the uncorrected target</source>
+      <translation>Zurück, auf das unkorrigierte Ziel</translation>
     </message>
     <message>
       <source>Folder of raw frames</source>
@@ -1426,6 +1502,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Other bands of the layer</source>
       <translation>Andere Kanäle des Layers</translation>
+    </message>
+    <message>
+      <source>Vector layers drawn on it</source>
+      <translation>Darauf gezeichnete Vektorlayer</translation>
     </message>
     <message>
       <source>Beside the layer</source>

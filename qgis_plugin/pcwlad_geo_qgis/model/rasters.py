@@ -5,22 +5,32 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from qgis.core import QgsProject, QgsProviderRegistry, QgsRasterLayer
+from qgis.core import QgsMapLayer, QgsProject, QgsProviderRegistry, QgsRasterLayer, QgsVectorLayer
 from qgis.utils import iface
 
-from ..help import FILTERED, NO_FILE, OPEN_OPTIONS
+from ..help import FILTERED, NO_FILE, NO_VECTOR, OPEN_OPTIONS
 from ..text import tr
 
 
-def path_of(layer: QgsRasterLayer) -> str:
+def path_of(layer: QgsMapLayer) -> str:
     """Return the path or GDAL URI of a layer that has no `problem_of`."""
     source = layer.source()
+    if isinstance(layer, QgsVectorLayer):
+        source = source.partition("|")[0]  # all layers of the file
     return str(Path(source).absolute()) if os.path.exists(source) else source  # noqa: PTH110  # a URI may be too long
 
 
-def problem_of(layer: QgsRasterLayer) -> str:
+def problem_of(layer: QgsMapLayer) -> str:
     """Return why the engine cannot read a layer, and what to do; empty where it can."""
     name = layer.name()
+    if isinstance(layer, QgsVectorLayer):
+        plain = layer.providerType() == "ogr" and Path(path_of(layer)).is_file()
+        as_it_is = not layer.isModified() and not layer.subsetString()
+        return (
+            ""
+            if plain and as_it_is and layer.crs() == layer.dataProvider().crs()
+            else tr(NO_VECTOR).format(name)
+        )
     if layer.providerType() != "gdal":
         return tr(NO_FILE).format(name, layer.providerType())
     source = layer.source()

@@ -30,15 +30,16 @@ def unused(name: str, separator: str, used: Callable[[str], object]) -> str:
     return next(each for each in names if not used(each))
 
 
-def add_raster(path: str, target: core.QgsRasterLayer, group: core.QgsLayerTreeGroup) -> core.QgsRasterLayer:
-    """Add a corrected raster with the style and name of its target."""
-    layer = core.QgsRasterLayer(path, target.name(), "gdal")
+def add_raster(path: str, target: core.QgsMapLayer, group: core.QgsLayerTreeGroup) -> core.QgsMapLayer:
+    """Add a corrected raster, or vectors, with the style and name of what was corrected."""
+    made = core.QgsVectorLayer if isinstance(target, core.QgsVectorLayer) else core.QgsRasterLayer
+    layer = made(path, target.name(), target.providerType())
     style = core.QgsMapLayerStyle()
     style.readFromLayer(target)
     style.writeToLayer(layer)
     layer.setName(target.name())
     core.QgsProject.instance().addMapLayer(layer, False)
-    group.addLayer(layer)
+    group.insertLayer(0 if made is core.QgsVectorLayer else -1, layer)
     return layer
 
 

@@ -10,7 +10,7 @@ from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui, QtWidgets, uic
 
 from ..algorithms.base import temporary_folder
-from ..help import INSTALL_ONE, MARKED, MORE_LAYERS, NO_ENGINE, OTHER_BANDS
+from ..help import DRAWN, INSTALL_ONE, MARKED, MORE_LAYERS, NO_ENGINE, OTHER_BANDS
 from ..model import settings
 from ..model.rasters import other_raster
 from ..model.results import add_group, add_raster, unused
@@ -24,7 +24,8 @@ from .editor import PointEditor
 from .place_page import PlacePage
 from .runner import Job, Runner
 
-REGISTER, APPLY, INSTALL = (f"pcwlad_geo:{name}" for name in ("register", "apply", "installengine"))
+NAMES = ("register", "apply", "applyvectors", "installengine")
+REGISTER, APPLY, MOVE, INSTALL = (f"pcwlad_geo:{name}" for name in NAMES)
 MAIN = ("EXTENT", "MODEL")
 LIMITS = ("AREA", "EXCLUDED", "REFERENCE_MASK", "INPUT_MASK")
 ADVANCED = ("SEARCH_RADIUS", "WINDOW", "MAX_CE90", *LIMITS, "GEOREFERENCE", "LIKE")
@@ -58,6 +59,7 @@ class AlignDock(gui.QgsDockWidget):
         self.choices.add(self.advanced_form, REGISTER, *ADVANCED)
         self.choices.add_layers(self.advanced_form, "MORE", tr("More layers to align"), tr(MORE_LAYERS))
         self.choices.add_layers(self.apply_form, "OTHERS", tr("Other bands of the layer"), tr(OTHER_BANDS))
+        self.choices.add_layers(self.apply_form, "DRAWN", tr("Vector layers drawn on it"), tr(DRAWN), True)
         for box, band in ((self.target, self.target_band), (self.reference, self.reference_band)):
             box.setFilters(core.QgsMapLayerProxyModel.Filter.RasterLayer)
             box.layerChanged.connect(band.setLayer)
@@ -230,11 +232,21 @@ class AlignDock(gui.QgsDockWidget):
             place = unused(place, "_", lambda name: f"{name}.tif" in jobs or Path(f"{name}.tif").exists())
             given = {"REGISTRATION": str(self._folder), "INPUT": layer, "OUTPUT": f"{place}.tif"}
             jobs[given["OUTPUT"]] = Job(APPLY, given, self._take_applied, layer.name())
+        if drawn := self.choices.layers("DRAWN"):
+            place = unused(str(self._folder / "vectors"), "_", lambda name: Path(name).exists())
+            given = {"REGISTRATION": str(self._folder), "INPUTS": drawn, "OUTPUT_FOLDER": place}
+            jobs[place] = Job(MOVE, given, self._take_moved, ", ".join(layer.name() for layer in drawn))
         if jobs:
             self._begin(list(jobs.values()))
 
     def _take_applied(self, job: Job, results: dict[str, Any]) -> None:
         add_raster(results["OUTPUT"], job.parameters["INPUT"], add_group(self._group, anew=False))
+        self._tell(tr("{} is corrected.").format(job.name), grade="good")
+
+    def _take_moved(self, job: Job, results: dict[str, Any]) -> None:
+        group = add_group(self._group, anew=False)
+        for path, layer in zip(results["OUTPUT_LAYERS"], job.parameters["INPUTS"]):
+            add_raster(path, layer, group)
         self._tell(tr("{} is corrected.").format(job.name), grade="good")
 
     def _load(self, job: Job, results: dict[str, Any]) -> None:

@@ -29,9 +29,12 @@ class Choices(gui.QgsProcessingContextGenerator):
         for name in names:
             self._add(form, algorithm.parameterDefinition(name).clone())
 
-    def add_layers(self, form: QFormLayout, name: str, title: str, help_text: str) -> None:
-        """Add a row to a form for raster layers, as many as wanted."""
-        kind = core.QgsProcessing.SourceType.TypeRaster
+    def add_layers(
+        self, form: QFormLayout, name: str, title: str, help_text: str, vectors: bool = False
+    ) -> None:
+        """Add a row to a form for raster or vector layers, as many as wanted."""
+        kinds = core.QgsProcessing.SourceType.TypeRaster, core.QgsProcessing.SourceType.TypeVectorAnyGeometry
+        kind = kinds[vectors]
         parameter = core.QgsProcessingParameterMultipleLayers(name, title, kind, optional=True)
         parameter.setHelp(help_text)
         self._add(form, parameter)
