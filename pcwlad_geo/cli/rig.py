@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -47,6 +47,20 @@ Pattern = Annotated[
 Fisheye = Annotated[
     bool, o.option("--fisheye", help="Lenses without a calibration in their frames are fisheyes.")
 ]
+Split = Annotated[
+    bool,
+    o.option(
+        "--split",
+        help="Write one file per lens, with the name, EXIF and XMP of the raw frame and a calibration "
+        "without distortion, instead of one raster per capture.",
+    ),
+]
+For = Annotated[
+    Literal["odm", "metashape", "pix4d"] | None,
+    o.option(
+        "--for", help="Lay these files out for a program, and print how it takes them.  [implies --split]"
+    ),
+]
 LENS_COLUMNS = ("lens", "focal px", "moved px", "sigma px", "calibration off px")
 """Header of the table of lenses."""
 
@@ -82,6 +96,8 @@ def apply(
     captures: Captures,
     out_dir: o.OutDir = None,
     pattern: Pattern = None,
+    split: Split = False,
+    program: For = None,
 ) -> None:
     """Write one raster per capture, its bands on each other; bad CAPTURES are named."""
     run_guarded(context.params, lambda on_event: _apply(context.params, on_event), lambda: None)
@@ -152,6 +168,8 @@ def _apply(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
         params["captures"],
         out_dir=params["out_dir"] or "rig_applied",
         pattern=params["pattern"],
+        split=params["split"],
+        program=params["program"],
         overwrite=params["overwrite"],
         on_event=on_event,
         **running,
@@ -168,12 +186,15 @@ def _applied(applied: RigApplied) -> Ending:
     bad = [capture for capture in applied.captures if capture.status != "corrected"]
     lines = [", ".join(f"{count} {name}" for name, count in (counts | grades).items() if count)]
     lines.append(f"summary: {applied.summary.absolute()}")
+    if applied.next_step is not None:
+        lines.append(f"next: {applied.next_step}")
     figures: dict[str, object] = {
         **counts,
         "quality": grades,
         "bad": [
             {"capture": capture.name, "status": capture.status, "reason": capture.reason} for capture in bad
         ],
+        "next_step": applied.next_step,
         "paths": {"summary": str(applied.summary.absolute())},
     }
     return Ending(figures, visible("\n".join(lines)) + "\n", status)

@@ -32,7 +32,7 @@ class CaptureOutcome:
     """`rejected`: a bad capture; `unusable`: its files cannot be used; `failed`: an unexpected error."""
     reason: str | None = None
     file: str | None = None
-    """Name of the raster in the output folder."""
+    """Name of the raster in the output folder, or of the reference's frame."""
     points: int | None = None
     """Places that agree with the rig."""
     residual_px: float | None = None
@@ -78,7 +78,7 @@ def correct_capture(task: CaptureTask) -> CaptureOutcome:
         name,
         "corrected",
         doubt_of(placement.expected_ce90_px),
-        file=f"{name}.tif",
+        file=f"{name}.tif" if task.split is None else task.split[0],
         points=placement.points,
         residual_px=placement.residual_px,
         inverse_depth=inverse_depth,

@@ -24,6 +24,7 @@ from pcwlad_geo.rigs.captures import Capture, find_frames, group
 from pcwlad_geo.rigs.learning_run import checked_jobs
 from pcwlad_geo.rigs.parameters import CAPTURE, CaptureParameters
 from pcwlad_geo.rigs.rig import Rig
+from pcwlad_geo.rigs.split import SCRIPT_NAME, Program, SplitPlan, is_corrected, split_plan
 from pcwlad_geo.text import csv_of, joined, mismatch, read_json
 from pcwlad_geo.types import PathLike
 
@@ -42,6 +43,8 @@ class RigApplied:
     out_dir: Path
     unread: tuple[tuple[str, str], ...]
     """Files that are no frames, and why."""
+    next_step: str | None = None
+    """What is to be typed for the program that takes the frames."""
 
     @property
     def summary(self) -> Path:
@@ -60,6 +63,8 @@ def rig_apply(
     *,
     out_dir: PathLike,
     pattern: str | None = None,
+    split: bool = False,
+    program: Program | None = None,
     overwrite: bool = False,
     jobs: int | None = None,
     scheduler: str | None = None,
@@ -82,6 +87,11 @@ def rig_apply(
         Frames, or folders of frames.
     out_dir : path
         Folder of the rasters, `summary.csv` and `rig_apply.json`.
+    split : bool
+        Write a file for each lens instead of one raster: with the name, the EXIF and the XMP of the raw
+        frame, and the calibration of a pinhole without distortion.
+    program : {"odm", "metashape", "pix4d"} or None
+        The program that takes these files, which are laid out for it; implies `split`.
     pattern, overwrite, jobs, scheduler, executor, allow_remote, trust_vrt, on_event
         As `rig_learn` takes them; `overwrite` corrects all captures anew.
 
@@ -99,15 +109,11 @@ def rig_apply(
     model = rig if isinstance(rig, Rig) else Rig.read(rig)
     folder, crop = Path(out_dir), model.crop()
     with trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
-        groups, unread = group(find_frames(captures), pattern)
-        pictures = [capture for capture in groups if _is_picture(model, capture)]
-        if len(pictures) < len(groups):
-            groups = [capture for capture in groups if capture not in pictures]
-            reason = "left aside: it has neither the size nor the tags of a frame of this camera"
-            unread += [(frame.path, reason) for picture in pictures for frame in picture.frames.values()]
+        groups, unread = _grouped(model, captures, folder, pattern)
         usable, outcomes = _sorted_out(model, groups)
         read = [frame.path for capture in groups for frame in capture.frames.values()]
-        rasters = [folder / f"{capture.name}.tif" for capture in usable]
+        plan = split_plan(model, usable, captures, program) if split or program else None
+        rasters = [folder / name for capture in usable for name in _names(model, capture, plan)]
         check_outputs(
             [*rasters, folder / SUMMARY, folder / NUMBERS], [*read, None if isinstance(rig, Rig) else rig]
         )
@@ -116,13 +122,14 @@ def rig_apply(
             before = _finished_before(folder)
             tasks = []
             for capture in usable:
-                digest = _digest(model, capture)
+                names = _names(model, capture, plan)
+                digest = _digest(model, capture, names)
                 earlier = before.get(capture.name)
-                if not overwrite and earlier and earlier[0] == digest and _is_there(folder, earlier[1]):
+                if not overwrite and earlier and earlier[0] == digest and _are_there(folder, names):
                     outcomes.append(replace(earlier[1], done_before=True))
                     continue
-                path = str(stage / f"{capture.name}.tif")
-                tasks.append(CaptureTask(model, capture, crop, path, digest))
+                path = str(stage / (names[0] if plan is None else plain_name(capture.name)))
+                tasks.append(CaptureTask(model, capture, crop, path, digest, None if plan is None else names))
             digests = {name: digest for name, (digest, _) in before.items()}
             digests |= {task.capture.name: task.digest for task in tasks}
 
@@ -131,13 +138,33 @@ def rig_apply(
 
             _apply(tasks, outcomes, folder, overwrite, opened, on_event, write_summary)
             write_summary()
+            good = {outcome.name for outcome in outcomes if outcome.status == "corrected"}
+            if plan is not None and program == "metashape":
+                script = plan.script(model, [capture for capture in usable if capture.name in good], folder)
+                (stage / SCRIPT_NAME).write_text(script, encoding="utf-8")
+                place_file(stage / SCRIPT_NAME, folder / SCRIPT_NAME, overwrite=True)
         ordered = tuple(sorted(outcomes, key=lambda outcome: outcome.name))
         for outcome in ordered:
             if outcome.reason is not None:
                 on_event(Warned(f"{outcome.name}: {outcome.quality or outcome.status}: {outcome.reason}"))
         for file, reason in unread:
             on_event(Warned(reason if file in reason else f"{file}: {reason}"))
-    return RigApplied(ordered, folder, tuple(unread))
+    return RigApplied(ordered, folder, tuple(unread), None if plan is None else plan.next_step(folder))
+
+
+def _grouped(
+    rig: Rig, captures: Sequence[PathLike], folder: Path, pattern: str | None
+) -> tuple[list[Capture], list[tuple[str, str]]]:
+    """Return the captures, and the files that are no frames, and why; `folder` has the results."""
+    inside = folder.resolve()
+    files = [file for file in find_frames(captures) if not file.resolve().is_relative_to(inside)]
+    groups, unread = group(files, pattern)
+    pictures = [capture for capture in groups if _is_picture(rig, capture)]
+    if len(pictures) < len(groups):
+        groups = [capture for capture in groups if capture not in pictures]
+        reason = "left aside: it has neither the size nor the tags of a frame of this camera"
+        unread += [(frame.path, reason) for picture in pictures for frame in picture.frames.values()]
+    return groups, unread
 
 
 def _apply(
@@ -176,25 +203,32 @@ def _corrected(task: CaptureTask) -> CaptureOutcome:
 
 
 def _placed(task: CaptureTask, outcome: CaptureOutcome, folder: Path, overwrite: bool) -> CaptureOutcome:
-    """Move a finished raster into the folder."""
+    """Move a finished raster, or the frames of a capture, into the folder."""
     if outcome.status != "corrected":
         return outcome
     staged = Path(task.path)
-    place = folder / staged.name
-    try:
-        place_file(staged, place, overwrite=overwrite or _is_own(place))
-    except OutputError as error:
-        if not place.exists() or overwrite:
-            raise
-        return CaptureOutcome(outcome.name, "unusable", str(error))
-    return replace(outcome, file=staged.name)
+    files = {staged.name: staged} if task.split is None else {name: staged / name for name in task.split}
+    for name, file in files.items():
+        place = folder / name
+        try:
+            place_file(file, place, overwrite=overwrite or _is_own(place))
+        except OutputError as error:
+            if not place.exists() or overwrite:
+                raise
+            return CaptureOutcome(outcome.name, "unusable", str(error))
+    return replace(outcome, file=next(iter(files)))
+
+
+def _names(rig: Rig, capture: Capture, plan: SplitPlan | None) -> tuple[str, ...]:
+    """Return the names of the files of a capture in the folder."""
+    return (f"{capture.name}.tif",) if plan is None else plan.of(rig, capture)
 
 
 def _is_own(place: Path) -> bool:
     """Return whether a file is a raster of an earlier run, even of one stopped before its summary."""
     try:
         with open_raster(str(place)) as dataset:
-            return CAPTURE_TAG in dataset.tags()
+            return CAPTURE_TAG in dataset.tags() or is_corrected(dataset)
     except InputError:
         return False
 
@@ -247,9 +281,10 @@ def _other_camera(rig: Rig, capture: Capture) -> str | None:
     return None
 
 
-def _digest(rig: Rig, capture: Capture) -> str:
-    """Return what tells whether a capture was corrected from the same files with the same rig."""
+def _digest(rig: Rig, capture: Capture, names: Sequence[str]) -> str:
+    """Return what tells whether a capture was corrected from the same files with the same rig to `names`."""
     state: list[object] = [{**rig.to_dict(), "seconds": 0}]
+    state += names if len(names) > 1 else []
     for name in rig.names:
         path = capture.frames[name].path
         try:
@@ -274,8 +309,8 @@ def _finished_before(folder: Path) -> dict[str, tuple[str, CaptureOutcome]]:
         return {}
 
 
-def _is_there(folder: Path, outcome: CaptureOutcome) -> bool:
-    return outcome.file is not None and (folder / plain_name(outcome.file)).is_file()
+def _are_there(folder: Path, names: Sequence[str]) -> bool:
+    return all((folder / name).is_file() for name in names)
 
 
 def _write_summary(

@@ -47,7 +47,7 @@ def _perspective(
 ) -> tuple[str, list[float]] | None:
     distortion = values.get("PerspectiveDistortion", ())
     centre_mm, focal = values.get("PrincipalPoint", ()), values.get("PerspectiveFocalLength", ())
-    per_mm = _px_per_mm(exif)
+    per_mm = px_per_mm(exif)
     if len(distortion) < 5 or len(centre_mm) != 2 or not focal or per_mm is None:
         return None
     # a focal length in mm is some units, in px some hundreds
@@ -58,7 +58,8 @@ def _perspective(
     ]  # fmt: skip
 
 
-def _px_per_mm(exif: Mapping[str, str]) -> float | None:
+def px_per_mm(exif: Mapping[str, str]) -> float | None:
+    """Return the number of px per mm of the sensor by the `exif` of a frame; None where it does not tell."""
     per_unit = number_of(exif, "FocalPlaneXResolution")
     unit_mm = MM_PER_UNIT.get(exif.get("EXIF_FocalPlaneResolutionUnit", "2").strip())
     return None if per_unit is None or unit_mm is None else per_unit / unit_mm

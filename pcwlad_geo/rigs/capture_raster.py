@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +19,7 @@ from pcwlad_geo.raster.stored_pixels import check_dataset
 from pcwlad_geo.rigs.captures import Capture, Frame
 from pcwlad_geo.rigs.placing import Placement
 from pcwlad_geo.rigs.rig import Rig, RigLens
+from pcwlad_geo.rigs.split import write_frame
 from pcwlad_geo.rigs.warping import map_places, resampled
 from pcwlad_geo.types import Float32
 
@@ -34,31 +36,41 @@ class CaptureTask:
     crop: tuple[int, int, int, int]
     """First column and first row in the common frame, then numbers of columns and rows."""
     path: str
-    """Where the raster is written."""
+    """Where the raster is written, or the folder of the frames."""
     digest: str
     """Digest of the inputs, which is written to the raster."""
+    split: tuple[str, ...] | None = None
+    """Names of the frames in the folder `path`, where each lens gets a file; None for one raster."""
     compress: str = "DEFLATE"
 
 
 def write_capture(
     task: CaptureTask, placement: Placement, frames: Sequence[Frame], values: Sequence[Float32]
 ) -> None:
-    """Warp every lens once into the common crop and write one raster, with names, wavelengths and EXIF.
+    """Write the raster of a capture, or its frames one by one, as its task says.
 
-    The `values` are the (rows, cols) `frames` of the lenses as they were measured.
+    The (rows, cols) `values` of the `frames` were read as the places were measured.
     """
     first_col, first_row, cols, rows = task.crop
-    rays = placement.rig.common_rays(map_places((rows, cols), (float(first_col), float(first_row)), 1.0))
+    places = map_places((rows, cols), (float(first_col), float(first_row)), 1.0)
+    rays = placement.rig.common_rays(places)
     inverse_depth = placement.plane[0] + rays @ placement.plane[1:]
     bands: list[tuple[str, RigLens, Frame, NDArray[Any]]] = []
     dtype = np.result_type(*(frame.dtype for frame in frames))
-    for lens, frame, raw in zip(placement.rig.lenses, frames, values, strict=True):
+    for number, (lens, frame, raw) in enumerate(zip(placement.rig.lenses, frames, values, strict=True)):
         lens_px = lens.project(rays, inverse_depth)
-        planes = _bands_of(frame, raw)
-        for number, plane in enumerate(planes, 1):
-            name = lens.name if len(planes) == 1 else f"{lens.name} {number}"
-            bands.append((name, lens, frame, _as_dtype(resampled(plane, lens_px, (rows, cols)), dtype)))
-    _write(task, placement, bands)
+        warped = [resampled(plane, lens_px, (rows, cols)) for plane in _bands_of(frame, raw)]
+        if task.split is not None:
+            planes = np.stack([_as_dtype(plane, np.dtype(frame.dtype)) for plane in warped])
+            at = places - (first_col, first_row)
+            path = Path(task.path) / task.split[number]
+            write_frame(path, task.rig, task.capture, number, task.crop, planes, (at, lens_px))
+            continue
+        for band, plane in enumerate(warped, 1):
+            name = lens.name if len(warped) == 1 else f"{lens.name} {band}"
+            bands.append((name, lens, frame, _as_dtype(plane, dtype)))
+    if bands:
+        _write(task, placement, bands)
 
 
 def _bands_of(frame: Frame, values: Float32) -> list[Float32]:

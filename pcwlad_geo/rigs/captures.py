@@ -62,6 +62,7 @@ class Frame:
     exif: Mapping[str, str]
     xmp: Mapping[str, str]
     """What XMP says that still holds of a corrected frame, by its name without namespace."""
+    bands: int = 1
 
     @property
     def tells_focal(self) -> bool:
@@ -182,7 +183,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         if np.dtype(dataset.dtypes[0]).kind not in "uif":
             raise InputError(f"{uri} has values of type {dataset.dtypes[0]}: frames hold real numbers")
         exif, xmp = exif_of(dataset), xmp_of(dataset)
-        shape, dtype, camera = dataset.shape, dataset.dtypes[0], camera_of(dataset)
+        shape, dtype, camera, bands = dataset.shape, dataset.dtypes[0], camera_of(dataset), dataset.count
     plain = {name.rpartition(" ")[2]: values for name, values in xmp.items()}
     stated = stated_lens(plain, exif, shape)
     wavelength = floats_in(plain.get("CentralWavelength", ())), floats_in(plain.get("WavelengthFWHM", ()))
@@ -204,6 +205,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         xmp={
             name: ", ".join(values)[:200] for name, values in plain.items() if not _OF_THE_LENS.search(name)
         },
+        bands=bands,
     )
 
 
