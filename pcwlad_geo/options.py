@@ -69,10 +69,11 @@ FILE_OPTIONS = ("ref_mask", "tgt_mask", "aoi", "exclude", "tie_points", "dem", "
 """Options whose value is, or may be, a file."""
 OUTPUT_OPTIONS = ("output_raster", "output_tiepoints", "output_report", "output_points")
 """Options with paths of single outputs; `match` has no raster."""
-BAND_NAME = re.compile(r"[A-Za-z]\w*$")
-"""Pattern of the name of a band of a product."""
 _BAND_NUMBERS: Final = r"\d{1,5}(-\d{1,5})?(,\d{1,5}(-\d{1,5})?)*"
-_BAND_NAMES: Final = r"[A-Za-z]\w*(,[A-Za-z]\w*)*"
+_BAND_NAME: Final = r"([A-Za-z]\w*|\d{3,5}(\.\d{1,3})?(-\d{3,5}(\.\d{1,3})?)?nm)"
+_BAND_NAMES: Final = rf"{_BAND_NAME}(,{_BAND_NAME})*"
+BAND_NAME = re.compile(rf"{_BAND_NAME}$")
+"""Pattern of the name of a band of a product, or of wavelengths in its place."""
 BAND_PATTERN = re.compile(rf"(pca:)?({_BAND_NUMBERS}|{_BAND_NAMES})$")
 """Pattern of bands: numbers and ranges, or names, and pca of these or alone."""
 FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
@@ -97,7 +98,7 @@ _BAND: Final[Check] = (
         (_is_whole(value) and 1 <= value < 100_000)
         or (isinstance(value, str) and not value.isdecimal() and bool(BAND_PATTERN.match(value)))
     ),
-    "a whole number from 1, or the name of a product's band; several such as 2,3,5-9; pca or pca:2,3,4",
+    "a whole number from 1, or the name or 665nm of a product's band; several: 2,3,5-9; pca or pca:2,3,4",
 )
 _DATUM: Final[Check] = (
     lambda value: isinstance(value, str | Path) or (fits(value, float) and -500.0 <= value <= 500.0),
@@ -167,7 +168,8 @@ class Settings:
         check=_BAND,
     )
     """Band that is matched; 2,3,5-9 (B2,B3,B4 of a product): the mean of these, scaled to equal contrast;
-    pca: the first principal component of all bands of the file, pca:2,3,5-9 of these."""
+    pca: the first principal component of all bands of the file, pca:2,3,5-9 of these. 665nm, 600-900nm: bands
+    of a hyperspectral product by their wavelengths."""
     tgt_band: int | str = option(
         1, "Band of the target to match, as for the reference.", _PAIR, metavar="N,…|NAME,…|pca", check=_BAND
     )

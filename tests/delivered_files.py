@@ -99,3 +99,69 @@ def write_maja(folder: Path, *, shift_px: tuple[float, float] = (0.0, 0.0), scen
         f"<Muscate_Metadata_Document>{images}</Muscate_Metadata_Document>"
     )
     return place
+
+
+ENMAP = "ENMAP01-____L2A-DT0000004950_20221103T162438Z_001_V010110_20221118T145147Z-Y0146_X0311"
+DESIS = "DESIS-HSI-L2A-DT0707652640_011-20220404T193259-V0220"
+WAVELENGTHS = (550.0, 660.0, 670.0, 850.0, 1400.0, 1650.0)
+
+
+def write_enmap(
+    folder: Path,
+    *,
+    shift_px: tuple[float, float] = (0.0, 0.0),
+    scene: str = ENMAP,
+    images: tuple[str, ...] = ("SPECTRAL_IMAGE",),
+) -> Path:
+    """Write a scene of six bands, of which that in the water vapour has no data, with its three masks.
+
+    With two `images`, those of the instruments, each has half of the bands.
+    """
+    place = folder / scene
+    place.mkdir(parents=True)
+    grid = grid_of(30.0)
+    bands = np.stack([numbers(grid, "red", shift_px)] * len(WAVELENGTHS))
+    bands[4], bands[:, :20] = -32768, -32768
+    for image, part in zip(images, np.split(bands, len(images)), strict=True):
+        save(place / f"{scene}-{image}.TIF", part, grid)
+    for name, area in (
+        ("CLOUD", CLOUD),
+        ("CLOUDSHADOW", (slice(60, 130), slice(110, 130))),
+        ("CIRRUS", (slice(200, 240), slice(200, 240))),
+    ):
+        mask = np.zeros(grid.shape, "uint8")
+        mask[area] = 2
+        save(place / f"{scene}-QL_QUALITY_{name}.TIF", mask, grid)
+    described = "".join(
+        f'<bandID number="{number}"><wavelengthCenterOfBand>{middle}</wavelengthCenterOfBand>'
+        f"<FWHMOfBand>7.5</FWHMOfBand><GainOfBand>0.0001</GainOfBand></bandID>"
+        for number, middle in enumerate(WAVELENGTHS, start=1)
+    )
+    (place / f"{scene}-METADATA.XML").write_text(
+        f"<level_X><specific><backgroundValue>-32768</backgroundValue>"
+        f"<bandCharacterisation>{described}</bandCharacterisation></specific></level_X>"
+    )
+    return place
+
+
+def write_desis(folder: Path, *, shift_px: tuple[float, float] = (0.0, 0.0), scene: str = DESIS) -> Path:
+    """Write a scene of three bands, with the mask of ten."""
+    place = folder / scene
+    place.mkdir(parents=True)
+    grid = grid_of(30.0)
+    bands = np.stack([numbers(grid, "red", shift_px)] * 3)
+    bands[:, :20] = -32768
+    save(place / f"{scene}-SPECTRAL_IMAGE.tif", bands, grid)
+    mask = np.zeros((10, *grid.shape), "uint8")
+    mask[1], mask[8], mask[5][CLOUD] = 1, 20, 1
+    save(place / f"{scene}-QL_QUALITY-2.tif", mask, grid)
+    described = "".join(
+        f"<band><bandNumber>{number}</bandNumber><wavelengthWidthOfBand>3.5</wavelengthWidthOfBand>"
+        f"<wavelengthCenterOfBand>{middle}</wavelengthCenterOfBand></band>"
+        for number, middle in enumerate(WAVELENGTHS[:3], start=1)
+    )
+    (place / f"{scene}-METADATA.xml").write_text(
+        f'<hsi xmlns:x="http://www.dlr.de/dims"><specific><backgroundValue>-32768</backgroundValue>'
+        f"<bandCharacterisation>{described}</bandCharacterisation></specific></hsi>"
+    )
+    return place

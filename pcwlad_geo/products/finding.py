@@ -30,6 +30,8 @@ KINDS: Final = Registry(
         "pcwlad_geo.products.planet:PLANET",
         "pcwlad_geo.products.hls:HLS",
         "pcwlad_geo.products.maja:MAJA",
+        "pcwlad_geo.products.spectral:ENMAP",
+        "pcwlad_geo.products.spectral:DESIS",
     ),
 )
 """The kinds of products."""

@@ -65,7 +65,7 @@ def _of_file(path: Path) -> Product | None:
         return None
     tree, scene = beside(path), match["scene"]
     product = _granule(tree, scene, by_scene(tree.names, _FILE)[scene])
-    return product and (product.single(path, match["band"]) if match["band"] else product)
+    return product and (product.single(path) if match["band"] else product)
 
 
 def _native_px_m(stem: str, description: str | None) -> float | None:

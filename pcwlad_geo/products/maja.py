@@ -78,7 +78,7 @@ def _of_file(path: Path) -> Product | None:
     folder = tree_of(path.parent)
     names = tuple(name for name in folder.names if scene_by(_FILE, Path(name)) == match["scene"])
     product = find_maja(FileTree(path.parent, names))
-    return product and product.single(path, match["part"][:-4])
+    return product and product.single(path)
 
 
 def _native_px_m(stem: str, description: str | None) -> float | None:

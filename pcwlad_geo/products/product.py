@@ -11,6 +11,14 @@ from typing import Final
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import Bands, open_raster
 
+WAVELENGTHS: Final = re.compile(
+    r"(?P<low>\d{3,5}(?:\.\d{1,3})?)(?:-(?P<high>\d{3,5}(?:\.\d{1,3})?))?nm", re.IGNORECASE
+)
+"""A wavelength, or a range of them, in place of the name of a band."""
+DARK_NM: Final = ((1350.0, 1450.0), (1800.0, 1960.0))
+"""Wavelengths that water vapour absorbs, so that nearly no sunlight comes back to space."""
+_NEAR_NM: Final = 10.0
+"""Largest distance of a band from the wavelength that names it, if it is not wider itself."""
 _PIXEL_SIZE: Final = re.compile(r"_\d+m$")
 """End of the name of a band at one of several pixel sizes, such as B04_20m."""
 
@@ -30,6 +38,10 @@ class ProductBand:
     """Nodata value of the stored numbers, for a file that states none; None: all are data."""
     number: int = 1
     """Number of the band in the file, from 1."""
+    wavelength_nm: float | None = None
+    """Wavelength at the middle of the band."""
+    width_nm: float = 0.0
+    """Width of the band at half of its sensitivity."""
 
     def opened_as(self) -> str:
         """Return the URI to open: the file, with nodata (and scale, offset) declared if it lacks them.
@@ -71,6 +83,8 @@ class Product:
     """Whether it is radar: clouds do not hide the ground, and its only band needs no name."""
     of_one_file: bool = False
     """Whether one file holds all bands, so that their numbers choose them too."""
+    apart: bool = False
+    """Whether bands of other files lie on pixels of their own, so that no correction holds for both."""
     mask_file: str = ""
     """Name of the file of the quality raster, for the message where it is missing."""
 
@@ -104,22 +118,58 @@ class Product:
     def chosen(self, choice: int | str) -> tuple[ProductBand, ...]:
         """Return the bands that an option names: one, several that make one image, or ``pca`` of them.
 
-        Numbers and ``pca`` alone choose among the bands of one file. Raises `InputError` if there is no band
-        of that name.
+        Numbers and ``pca`` alone choose among the bands of one file. Wavelengths such as ``665nm`` choose the
+        nearest band, ``600-900nm`` those between, except where the air lets no light through. Raises
+        `InputError` if there is no band of that name.
         """
         numbers = Bands.of_file(self.path, choice) if self.of_one_file else None
         if numbers is not None:
-            return tuple(self.band(part.band) for part in numbers.parts) or self.bands
-        names = choice.removeprefix("pca:").split(",") if isinstance(choice, str) else [choice]
-        return tuple(self.band(name) for name in names)
+            return tuple(self.band(part.band) for part in numbers.parts) or self._lit()
+        if not isinstance(choice, str):
+            return (self.band(choice),)
+        names = choice.removeprefix("pca:").split(",")
+        return tuple(band for name in names for band in self._named(name))
 
-    def single(self, path: Path, name: str) -> Product:
-        """Return the product of one band's file alone, with the mask of the whole."""
-        band = self.band(name)
-        aliases = {alias: other for alias, other in self.aliases.items() if other == band}
-        return replace(
-            self, path=str(path), bands=(band,), missing=(), aliases=aliases, cirrus=(), of_one_file=True
+    def _named(self, name: str) -> tuple[ProductBand, ...]:
+        """Return the band of a name or wavelength, or those of a range of wavelengths."""
+        match = WAVELENGTHS.fullmatch(name)
+        if match is None:
+            return (self.band(name),)
+        middles = {band: band.wavelength_nm for band in self.bands if band.wavelength_nm is not None}
+        if not middles:
+            raise InputError(
+                f"the wavelengths of {self.path} ({self.kind}) are not read: name one of "
+                f"{', '.join(band.name for band in self.bands)} instead of {name}"
+            )
+        low = float(match["low"])
+        high = float(match["high"] or low)
+        nearest = min(middles, key=lambda band: abs(middles[band] - low))
+        inside = tuple(band for band in self._lit() if low <= middles.get(band, -1.0) <= high)
+        near = abs(middles[nearest] - low) <= max(nearest.width_nm, _NEAR_NM)
+        chosen = inside if match["high"] else (nearest,) if near else ()
+        if not chosen:
+            raise InputError(
+                f"{self.path} ({self.kind}) has no band at {name}: it holds {len(middles)} from "
+                f"{min(middles.values()):.0f} to {max(middles.values()):.0f} nm, without those that "
+                "water in the air darkens"
+            )
+        return chosen
+
+    def _lit(self) -> tuple[ProductBand, ...]:
+        """Return the bands that sunlight reaches through the air, all where no wavelength is known."""
+        return tuple(
+            band
+            for band in self.bands
+            if not any(low < (band.wavelength_nm or 0.0) < high for low, high in DARK_NM)
         )
+
+    def single(self, path: Path) -> Product:
+        """Return the product of one image's file alone, with the mask of the whole."""
+        held = dict.fromkeys([*self.bands, *self.aliases.values()])
+        bands = tuple(band for band in held if band.uri == str(path))
+        aliases = {name: band for name, band in self.aliases.items() if band in bands}
+        alone = replace(self, path=str(path), bands=bands, aliases=aliases, of_one_file=True)
+        return replace(alone, missing=(), cirrus=(), apart=False)
 
     def ground_bands(self) -> tuple[tuple[ProductBand, ...], tuple[str, ...]]:
         """Return the bands that show the ground, and messages about those left out.
@@ -148,6 +198,11 @@ class Product:
             warnings.append(
                 f"{self.path} ({self.kind}) has no quality raster{named}: its clouds are not masked"
             )
+        if self.apart:
+            warnings.append(
+                f"the instruments of {self.path} ({self.kind}) have pixels of their own: only the file of "
+                "the band is corrected; match the other one to it"
+            )
         if self.path.lower().endswith("gz"):
             warnings.append(
                 f"{self.path} is compressed as a whole, and reading parts of it is slow: unpack it"
@@ -161,6 +216,8 @@ class Product:
         """
         self._check_complete(f"give the file of band {band.name} itself to correct no other")
         same = _PIXEL_SIZE.sub("", band.name)
+        if self.apart:
+            return ()
         files = {other.uri: other for other in self.bands if other.name != same and other.uri != band.uri}
         return tuple(files.values())
 

@@ -13,7 +13,18 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.file_tree import name_of_uri
 from pcwlad_geo.types import Bool
 
-MaskKind = Literal["zeros", "QA_PIXEL", "BQA", "SCL", "MSK_CLASSI", "Fmask", "UDM2", "CLM"]
+MaskKind = Literal[
+    "zeros",
+    "QA_PIXEL",
+    "BQA",
+    "SCL",
+    "MSK_CLASSI",
+    "Fmask",
+    "UDM2",
+    "CLM",
+    "QL_QUALITY_CLOUD",
+    "QL_QUALITY-2",
+]
 """zeros: 0 = excluded; the other kinds have the names that the products give them."""
 
 _EXCLUDED: Final[dict[str, tuple[int, ...]]] = {
@@ -36,7 +47,9 @@ _UDM2_BANDS: Final = 3, 5, 6, 8
 """Bands of Planet's mask that exclude: shadow, heavy haze, cloud, and the bits of the older mask."""
 _UDM2_OLDER_CLOUD: Final = 1 << 1
 """The bit of band 8 that does not exclude, as it also marks snow."""
-FLAGS_ONLY: Final = ("UDM2", "CLM")
+_DESIS_BANDS: Final = 1, 6, 7
+"""Bands of the mask of DESIS that exclude: shadow, cloud over land, cloud over water."""
+FLAGS_ONLY: Final = ("UDM2", "CLM", "QL_QUALITY_CLOUD", "QL_QUALITY-2")
 """Kinds whose 0 is clear ground even where the file declares it as nodata."""
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
 _NAMES: Final[dict[MaskKind, str]] = {
@@ -46,6 +59,8 @@ _NAMES: Final[dict[MaskKind, str]] = {
     "MSK_CLASSI": rf"(^|_)MSK_CLASSI(_B00)?{_ENDINGS}",
     "Fmask": r"^HLS\..*\.Fmask(\.\w+)?$",
     "UDM2": r"(^|_)udm2(_clip)?(\.\w+)?$",
+    "QL_QUALITY_CLOUD": r"^ENMAP.*-QL_QUALITY_CLOUD(_COG)?\.\w+$",
+    "QL_QUALITY-2": r"^DESIS-.*-QL_QUALITY-2\.\w+$",
     "CLM": r"(^|_)CLM_(R[123]|XS)(\.\w+)?$",
 }
 _OTHERS: Final = re.compile(
@@ -84,7 +99,19 @@ def is_quality_raster(name: str) -> bool:
 
 def bands_of(kind: MaskKind) -> tuple[int, ...]:
     """Return the numbers of the bands, from 1, that a kind of mask consists of."""
-    return {"MSK_CLASSI": _CLASSI_BANDS, "UDM2": _UDM2_BANDS}.get(kind, (1,))
+    several = {"MSK_CLASSI": _CLASSI_BANDS, "UDM2": _UDM2_BANDS, "QL_QUALITY-2": _DESIS_BANDS}
+    return several.get(kind, (1,))
+
+
+def files_of_mask(kind: MaskKind, uri: str) -> tuple[str, ...]:
+    """Return the files that a mask of a kind consists of, itself first.
+
+    That of EnMAP lies in three. Of an archive whose long names GDAL does not read, it is the first alone.
+    """
+    if kind != "QL_QUALITY_CLOUD" or uri.startswith("/vsisubfile/"):
+        return (uri,)
+    folder, _, name = uri.rpartition("-QL_QUALITY_CLOUD")
+    return (uri, *(f"{folder}-QL_QUALITY_{part}{name}" for part in ("CLOUDSHADOW", "CIRRUS")))
 
 
 def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
@@ -98,14 +125,12 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
     if kind == "UDM2":
         *classes, older = values
         return np.asarray(((older | _UDM2_OLDER_CLOUD) == _UDM2_OLDER_CLOUD) & ~np.any(classes, axis=0))
-    if kind == "CLM":
-        return np.asarray(values[0] == 0)
     if kind == "BQA":
         older, later = (_without(bits, values[0]) for bits in ("older BQA", "BQA"))
         return np.where(values[0] >= _OLDER_BQA, older, later)
     if kind == "SCL":
         return ~np.isin(values[0], _EXCLUDED[kind])
-    if kind == "MSK_CLASSI":
+    if kind in ("MSK_CLASSI", "CLM", "QL_QUALITY-2", "QL_QUALITY_CLOUD"):
         return np.asarray((values == 0).all(axis=0))
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
 

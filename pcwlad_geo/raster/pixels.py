@@ -13,8 +13,8 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.plausible import is_plausible
 from pcwlad_geo.in_memory import equals_nodata
 from pcwlad_geo.raster.gdal import GDAL_ERRORS
-from pcwlad_geo.raster.grid import Window
-from pcwlad_geo.raster.masks import FLAGS_ONLY, accepted, bands_of
+from pcwlad_geo.raster.grid import Grid, Window
+from pcwlad_geo.raster.masks import FLAGS_ONLY, accepted, bands_of, files_of_mask
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.source import RasterInfo, mask_on_pixels
 from pcwlad_geo.types import Bool
@@ -55,18 +55,24 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
     """
     if info.mask_uri is None or info.mask_grid is None:
         return np.ones(window.shape, dtype=bool)
+    files = files_of_mask(info.mask_kind, info.mask_uri)
+    return np.asarray(np.all([_valid_in(uri, info, info.mask_grid, window) for uri in files], axis=0))
+
+
+def _valid_in(uri: str, info: RasterInfo, mask_grid: Grid, window: Window) -> Bool:
+    """Return the pixels of a window that one of the files of a mask does not exclude."""
     file_window = FileWindow(window.col, window.row, window.cols, window.rows)
     bands = list(bands_of(info.mask_kind))
-    with open_raster(info.mask_uri) as dataset:
+    with open_raster(uri) as dataset:
         try:
-            if mask_on_pixels(info, info.mask_grid):
+            if mask_on_pixels(info, mask_grid):
                 values = dataset.read(bands, window=file_window)
                 clear = accepted(info.mask_kind, values)
                 if info.mask_kind in FLAGS_ONLY:
                     return clear
                 return clear & valid_in_file(dataset, bands[0], values[0], file_window)
             grid, (rows, cols) = info.grid, info.grid.shape
-            mask = info.mask_grid.in_turn_of(grid)
+            mask = mask_grid.in_turn_of(grid)
             place = {"crs": grid.crs, "transform": grid.transform, "height": rows, "width": cols}
             place |= {"src_crs": mask.crs, "src_transform": mask.transform, "resampling": Resampling.nearest}
             if info.mask_kind in FLAGS_ONLY:
@@ -76,5 +82,5 @@ def valid_in_mask_file(info: RasterInfo, window: Window) -> Bool:
                 return np.asarray(inside & accepted(info.mask_kind, warped.read(bands, window=file_window)))
         except GDAL_ERRORS as error:
             raise InputError(
-                f"the mask {info.mask_uri} cannot be read: it may be truncated or corrupt ({error})"
+                f"the mask {uri} cannot be read: it may be truncated or corrupt ({error})"
             ) from error

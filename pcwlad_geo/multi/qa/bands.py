@@ -22,7 +22,7 @@ from pcwlad_geo.raster.undeclared import without_undeclared
 from pcwlad_geo.text import whole
 from pcwlad_geo.types import PathLike
 
-_BANDS: Final = re.compile(r"(.+):((?:\d+(?:-\d+)?|[A-Za-z]\w*)(?:,(?:\d+(?:-\d+)?|[A-Za-z]\w*))*)")
+_BANDS: Final = re.compile(r"(.+):((?:[\d.-]+(?:nm)?|[A-Za-z]\w*)(?:,(?:[\d.-]+(?:nm)?|[A-Za-z]\w*))*)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def _of_product(
     if requested is None:
         bands, notes = product.ground_bands()
     else:
-        bands, notes = tuple(product.band(name) for name in requested), ()
+        bands, notes = tuple(band for name in requested for band in product.chosen(name)), ()
     notes += product.notes(mask is not None)
     product_mask = mask or product.mask
     return [
