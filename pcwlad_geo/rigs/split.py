@@ -83,7 +83,9 @@ class SplitPlan:
             for frames in ([capture.frames[name] for name in rig.names] for capture in captures)
         ]
         return _SCRIPT.format(
-            folder=json.dumps(str(folder.absolute())), captures=json.dumps(groups, indent=1)
+            module="Metashape",
+            folder=json.dumps(str(folder.absolute())),
+            captures=json.dumps(groups, indent=1),
         )
 
     def next_step(self, folder: Path) -> str | None:
