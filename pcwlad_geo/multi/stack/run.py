@@ -8,10 +8,11 @@ pairs that are worth measuring (`pair_choice`), their tie points (`pairs`), the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 from pcwlad_geo.arguments import checked
@@ -32,6 +33,7 @@ from pcwlad_geo.multi.stack.numbers import NUMBERS
 from pcwlad_geo.multi.stack.outputs import check_places, write_registered, write_stack
 from pcwlad_geo.multi.stack.pair_choice import (
     CHOICE,
+    Candidate,
     additional_pairs,
     candidates,
     overviews_of,
@@ -39,7 +41,7 @@ from pcwlad_geo.multi.stack.pair_choice import (
 )
 from pcwlad_geo.multi.stack.pairs import sigma_known
 from pcwlad_geo.multi.stack.positions import stack_of
-from pcwlad_geo.multi.stack.result import Stack
+from pcwlad_geo.multi.stack.result import Chosen, Stack
 from pcwlad_geo.multi.stack.rpc_images import has_rpcs, place_images
 from pcwlad_geo.multi.stack.rpc_run import stack_of_rpcs
 from pcwlad_geo.outputs.folder import OutputFolder
@@ -149,19 +151,41 @@ def stack(
         points = () if gcps is None else control_points(gcps)
         control = control_edges(points, frame)
         datum_image = datum_of(frame, datum, control, len(infos))
-        with named([*frame.names, "the control points"]):
-            if choice == "auto" and len(infos) > CHOICE.all_pairs:
-                edges = connected_edges(job, frame, plan, control, allow_components)
-                first = adjust(edges, len(infos) + bool(control), datum=datum_image, split=allow_components)
-                plan += additional_pairs(frame, ranked, plan, edges, first)
-            edges = connected_edges(job, frame, plan, control, allow_components)
-            adjustment = adjust_images(job, frame, edges, datum_image, allow_components)
-            measured = job.measured(frame, plan)
-            result = stack_of(
-                frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, choice
-            )
+        result = placed(
+            job, frame, ranked, (choice, plan), datum_image, control, allow_components, unreadable
+        )
         result = replace(result, control=points)
         return write_stack(job, out, result, frame, partial(write_registered, job, frame, frame.names))
+
+
+def placed(
+    job: StackJob,
+    frame: StackFrame,
+    ranked: Sequence[Candidate],
+    planned: tuple[Chosen, list[tuple[int, int]]],
+    datum: int | None,
+    control: Sequence[Edge] = (),
+    split: bool = False,
+    unreadable: Mapping[str, str] = MappingProxyType({}),
+) -> Stack:
+    """Measure the planned pairs, and those that the sigmas of images ask for; return where all images lie.
+
+    The pairs `ranked` are those to choose from. The `datum` is the number of the image that stays; None: the
+    mean does. Groups of images without a connection may be `split`. Nothing is graded, nor written but the
+    folders of the pairs.
+    """
+    choice, plan = planned
+    with named([*frame.names, "the control points"]):
+        if choice == "auto" and len(frame.infos) > CHOICE.all_pairs:
+            edges = connected_edges(job, frame, plan, control, split)
+            first = adjust(edges, len(frame.infos) + bool(control), datum=datum, split=split)
+            plan = plan + additional_pairs(frame, ranked, plan, edges, first)
+        edges = connected_edges(job, frame, plan, control, split)
+        adjustment = adjust_images(job, frame, edges, datum, split)
+        measured = job.measured(frame, plan)
+        return stack_of(
+            frame, measured, adjustment, job.folder, job.settings, job.warnings, unreadable, choice
+        )
 
 
 def adjust_images(
