@@ -25,6 +25,7 @@ from benchmarks.studies.bands import bands
 from benchmarks.studies.candidates import candidates
 from benchmarks.studies.closure import closure
 from benchmarks.studies.crs import crs
+from benchmarks.studies.cube import cube
 from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
 from benchmarks.studies.jitter import jitter
@@ -78,6 +79,7 @@ STUDIES: dict[str, Study] = {
     "pose": pose,
     "radar": radar,
     "stack": stack,
+    "cube": cube,
     "rpcblock": rpcblock,
     "rig": rig,
 }

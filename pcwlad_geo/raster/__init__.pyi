@@ -1,3 +1,4 @@
+from .arrays import georeferencing_of
 from .bands import Bands
 from .crs import WGS84, transform_xy
 from .file_tree import FileTree, file_name, is_folder, plain_name
@@ -43,6 +44,7 @@ __all__ = [
     "describe",
     "file_name",
     "file_px_per_px",
+    "georeferencing_of",
     "identify",
     "is_folder",
     "jacobian",

@@ -309,10 +309,21 @@ def _from_data_array(data: DataArrayLike) -> Raster:
             f"a DataArray with the dimensions {', '.join(map(str, data.dims)) or 'none'} is no raster: they "
             "must be (y, x) or (band, y, x) (transpose, isel)"
         )
+    return Raster(values, *georeferencing_of(data), nodata_of(data, values.dtype))
+
+
+def georeferencing_of(data: DataArrayLike) -> tuple[Affine | None, object]:
+    """Return the geotransform and the CRS of a DataArray whose last axes are rows and columns.
+
+    Its pixels are not read. The CRS is that of its `spatial_ref`, or of the coordinate `epsg` of stackstac.
+    Raises `InputError` if the coordinates are not evenly spaced.
+    """
     name = _mapping_name(data)
     place: Mapping[Any, Any] = data.coords[name].attrs if name in data.coords else {}
-    text = place.get("crs_wkt") or place.get("spatial_ref")
-    return Raster(values, _transform_of(data, place), text, nodata_of(data, values.dtype))
+    text: object = place.get("crs_wkt") or place.get("spatial_ref")
+    if text is None and "epsg" in data.coords and np.ndim(data.coords["epsg"].values) == 0:
+        text = f"EPSG:{int(data.coords['epsg'].values)}"
+    return _transform_of(data, place), text
 
 
 def _mapping_name(data: DataArrayLike) -> str:
@@ -337,7 +348,7 @@ def _transform_of(data: DataArrayLike, place: Mapping[Any, Any]) -> Affine | Non
             raise InputError(
                 f"the coordinate {name} of the DataArray is not evenly spaced: resample it to a regular grid"
             )
-        axes.append((step, centres[0] - step / 2, len(centres)))
+        axes.append((step, centres[0] - step / 2 + _to_centres(data, name) * step, len(centres)))
     (a, c, cols), (e, f, rows) = axes
     from_axes = Affine(a, 0.0, float(c), 0.0, e, float(f))
     if written is None:
@@ -345,6 +356,16 @@ def _transform_of(data: DataArrayLike, place: Mapping[Any, Any]) -> Affine | Non
     corners_px = np.array([[0.0, 0.0], [cols, rows]])
     off_px = np.abs(apply_inverse(from_axes, apply(written, corners_px)) - corners_px).max()
     return written if off_px <= 1e-6 else from_axes  # rounding of the coordinates
+
+
+def _to_centres(data: DataArrayLike, name: Hashable) -> float:
+    """Return how far coordinates lie before the centres of pixels: half a px by stackstac's default."""
+    grid = data.attrs.get("transform")
+    if "epsg" not in data.coords or not isinstance(grid, Affine):
+        return 0.0
+    origin, step = (grid.c, grid.a) if str(name) in X_NAMES else (grid.f, grid.e)
+    off = (float(data.coords[name].values[0]) - origin) / step
+    return 0.5 if abs(off - round(off)) < 0.25 else 0.0
 
 
 def like_the_source(raster: Raster, source: object) -> object:

@@ -1,0 +1,1 @@
+"""Cubes of xarray, with an image for each date: aligned by the adjustment of a stack."""
