@@ -287,7 +287,6 @@ def leave(dock: Any) -> Iterator[int]:
     yield 500
     dock.editor.table.selectRow(5)
     dock.editor.undo()
-    project.removeMapLayer(dock.layers["points"].id())
     yield 1000
     seen["editor_after_leaving"] = dock.editor is None
     layers = [QgsRasterLayer(JOB[name], Path(JOB[name]).stem) for name in ("reference", "target")]

@@ -43,7 +43,7 @@ def steps() -> Iterator[int]:
     QgsProject.instance().addMapLayers(list(layers.values()))
     iface.setActiveLayer(layers["target"])
     plugin = plugins["pcwlad_geo_qgis"]
-    seen["toolbar"] = plugin.action in iface.rasterToolBar().actions()
+    seen["toolbar"] = plugin.action in iface.pluginToolBar().actions()
     plugin.action.trigger()
     yield 1000
     dock = plugin.dock

@@ -219,9 +219,9 @@ def refused(dock: Any, layers: list[QgsRasterLayer]) -> Iterator[int]:
     before = dock.place.ghost.placement.now
     dock.reference.setLayer(layers[2])
     dock.place.snap_button.click()
-    seen["while_it_runs"] = [dock.place.snap_button.isEnabled(), dock.place.cancel_button.isVisible()]
+    seen["while_it_runs"] = [dock.place.snap_button.isEnabled(), dock.cancel_button.isVisible()]
     yield from wait(dock)
-    seen["refusal"] = dock.place.told.text()
+    seen["refusal"] = dock.verdict.text()
     seen["stays"] = [
         dock.tabs.currentWidget() is dock.place,
         dock.place.ghost is not None and dock.place.ghost.placement.now == before,
@@ -234,9 +234,9 @@ def snap(dock: Any) -> Iterator[int]:
     dock.place.snap_button.click()
     dock.place.snap_button.click()
     yield 1500
-    dock.place.cancel_button.click()
+    dock.cancel_button.click()
     yield from wait(dock)
-    seen["cancelled"] = dock.place.told.text()
+    seen["cancelled"] = dock.verdict.text()
     seen["ghost_stays"] = dock.place.ghost is not None
     dock.place.snap_button.click()
     yield from wait(dock)

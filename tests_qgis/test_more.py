@@ -100,7 +100,7 @@ def test_the_correction_is_applied_to_other_bands(seen: dict[str, Any], places: 
 
 def test_an_earlier_registration_is_opened(seen: dict[str, Any], places: dict[str, str]) -> None:
     assert "is no folder of a finished registration" in seen["none"]
-    assert seen["opened"].startswith('<b style="color: #1a7f37">✔ The layers fit')
+    assert seen["opened"].startswith('<b style="color: #116329">✔ The layers fit')
     assert "Model: Affine" in seen["opened"]
     assert "report.html" in seen["opened"]
     folder = registered(places, "target")

@@ -73,7 +73,7 @@ def test_another_engine_is_offered(seen: dict[str, Any]) -> None:
 def test_the_engine_is_installed_from_the_dock_by_one_click(seen: dict[str, Any], profile: Path) -> None:
     assert seen["installing"] == [False, True]
     assert seen["installed"]["verdict"].startswith(
-        '<b style="color: #1a7f37">✔ The engine is installed: pcwlad-geo 0.1.0'
+        '<b style="color: #116329">✔ The engine is installed: pcwlad-geo 0.1.0'
     )
     assert seen["installed"]["offered"] is False
     assert seen["percent"] > 5

@@ -158,10 +158,12 @@ def _answer(
                 return
             _tell_model(editor, model, numbered, number, tell)
     elif what == "add":
-        places = tuple(request["reference_xy"]), tuple(request["target_xy"])
+        names = ("reference_xy", "target_px" if "target_px" in request else "target_xy")
+        reference_xy, in_target = (tuple(request[name]) for name in names)
         most_px = editor.parameters.radius_px
         radius_px = min(float(request.get("radius_px", most_px)), most_px)
-        refined = editor.add(*places, radius_px, deleted)
+        by_px = {"target_px": in_target} if names[1] == "target_px" else {}
+        refined = editor.add(reference_xy, None if by_px else in_target, radius_px, deleted, **by_px)
         point = {name: values[-1].item() for name, values in columns_of(editor.table).items()}
         tell("added", {"number": number, "refined": refined, "point": point})
     elif what == "save":

@@ -95,28 +95,30 @@ class Editor:
     def add(
         self,
         reference_xy: tuple[float, float],
-        target_xy: tuple[float, float],
+        target_xy: tuple[float, float] | None,
         radius_px: float = EditingParameters().radius_px,
         gone: Collection[int] = (),
+        target_px: tuple[float, float] | None = None,
     ) -> bool:
         """Add a point at two places, each on its own map; return whether matching has refined it.
 
         The pixel shown in the reference is sought in the target, or else the nearest corner that no other
         point is at, within `radius_px` (matching-grid px) of either place. Where there is none, the point is
-        as it was shown, with a sigma of a pixel. The map coordinates (x, y) are in the CRS of each raster;
-        `gone` are rows that were taken away, numbered from 0. Raises `InputError` where a point lies already,
+        as it was shown, with a sigma of a pixel. The map coordinates (x, y) are in the CRS of each raster; a
+        target whose place is not known is shown by a pixel (col, row) instead. The rows `gone` were taken
+        away, numbered from 0. Raises `InputError` where a point lies already,
         or neither raster is.
         """
         views, message = (
             self._pair.views,
-            f"a point at {reference_xy}, {target_xy} lies nowhere near the images",
+            f"a point at {reference_xy}, {target_px or target_xy} lies nowhere near the images",
         )
-        if not np.isfinite([*reference_xy, *target_xy]).all():
+        in_target = target_px or target_xy or ()
+        if len(in_target) != 2 or not np.isfinite([*reference_xy, *in_target]).all():
             raise InputError(message)
-        places_px = tuple(
-            info.grid.to_px(np.array([xy], dtype=np.float64))
-            for info, xy in ((views.reference.info, reference_xy), (views.target.info, target_xy))
-        )
+        shown = [np.array([xy], dtype=np.float64) for xy in (reference_xy, in_target)]
+        to_px = views.target.info.grid.to_px
+        places_px = views.reference.info.grid.to_px(shown[0]), shown[1] if target_px else to_px(shown[1])
         if not np.abs(np.concatenate(places_px)).max() <= self.parameters.far_px:
             raise InputError(message)
         other_px = np.delete(self.table.reference_px, list(gone), axis=0)
@@ -125,14 +127,14 @@ class Editor:
         if (off_px < self.parameters.spacing_px).any():
             raise InputError("there is a tie point already: move or delete that one")
         refined = self._refined(places_px[0], places_px[1], radius_px, taken_px)
-        reference_px, target_px, covariance_px2, score = refined or (
+        reference_px, matched_px, covariance_px2, score = refined or (
             places_px[0],
             places_px[1],
             np.eye(2)[None],
             np.ones(1),
         )
         self._roles = np.append(self._roles, "fit")
-        self.table = joined(self.table, place(reference_px, target_px, covariance_px2, score, views))
+        self.table = joined(self.table, place(reference_px, matched_px, covariance_px2, score, views))
         return refined is not None
 
     def save(self, path: Path, off: Collection[int], gone: Collection[int] = ()) -> None:

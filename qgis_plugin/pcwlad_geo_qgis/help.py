@@ -292,7 +292,7 @@ MODELS = {
 }
 """What the editor calls the models that it fits."""
 COLUMNS = [
-    mark("Visible"),
+    mark("Enabled"),
     mark("ID"),
     mark("Source X"),
     mark("Source Y"),
@@ -353,13 +353,22 @@ PLACE_PAIRS = mark("Click a place of the layer, then where it belongs; up to thr
 GRADES = {"good": mark("good"), "fair": mark("fair"), "poor": mark("poor")}
 """The quality in a word."""
 MARKED = {
-    "good": '<b style="color: #1a7f37">✔ {}</b>',
-    "fair": '<b style="color: #9a6700">▲ {}</b>',
-    "poor": '<b style="color: #bc4c00">▲ {}</b>',
-    "refused": '<b style="color: #cf222e">✖ {}</b>',
-    "": "{}",
+    grade: tuple(f'<b style="color: {colour}">{sign} {{}}</b>' for colour in colours)
+    for grade, sign, *colours in (
+        ("good", "✔", "#116329", "#4ac26b"),
+        ("fair", "▲", "#7d4e00", "#e3b341"),
+        ("poor", "▲", "#953800", "#ffa657"),
+        ("refused", "✖", "#a40e26", "#ff9492"),
+    )
 }
-"""How a verdict is shown, by the quality or for what was refused; nothing marks what the user ended."""
+MARKED |= {"note": ("<b>{}</b>",) * 2, "": ("{}",) * 2}
+"""How a verdict is shown on a light and on a dark window, by the quality or for what was refused."""
+NOT_IN_INDEX = mark("The package index has no pcwlad-geo: choose “From a wheel…” or “From a folder…”.")
+"""What is told where an index lacks the engine."""
+NEEDS_TRUST = mark(
+    "{}: files of this kind can name other files. QGIS has opened it; the engine does so once you trust it."
+)
+"""What is asked once of a layer that may name files elsewhere."""
 NO_ENGINE = mark("No pcwlad-geo engine was found.")
 """What is told where there is no engine."""
 INSTALL_ONE = mark(

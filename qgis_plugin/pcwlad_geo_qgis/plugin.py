@@ -39,7 +39,7 @@ class PcwladGeoPlugin:
         self.action = QtWidgets.QAction(icon, tr("Align this layer…"), self._iface.mainWindow())
         self.action.triggered.connect(lambda: self.open_dock())
         self._iface.addPluginToRasterMenu("pcwlad-geo", self.action)
-        self._iface.addRasterToolBarIcon(self.action)
+        self._iface.addToolBarIcon(self.action)
         raster = core.QgsRasterLayer().type()  # its enum has moved between versions
         self._iface.addCustomActionForLayerType(self.action, "", raster, True)
 
@@ -70,7 +70,7 @@ class PcwladGeoPlugin:
             NOTICES.told.disconnect(self._show_report)
             self._iface.removeCustomActionForLayerType(self.action)
             self._iface.removePluginRasterMenu("pcwlad-geo", self.action)
-            self._iface.removeRasterToolBarIcon(self.action)
+            self._iface.removeToolBarIcon(self.action)
         if self.dock is not None:
             self.dock.close_all()
             self._iface.removeDockWidget(self.dock)

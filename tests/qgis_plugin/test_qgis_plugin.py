@@ -156,6 +156,10 @@ def test_points_have_the_signs_of_the_georeferencer_and_changes_are_undone(
     assert points.delete([0])
     assert points.gone == {0, 3}
     assert [points.undo() and set(points.gone) for _ in range(3)] == [{3}, {4}, {3, 4}]
+    assert [points.redo() and set(points.gone) for _ in range(2)] == [{4}, {3}]
+    assert [points.undo(), points.can_redo, points.delete([1])] == [True] * 3
+    assert not points.can_redo  # what was taken back is another branch now
+    assert points.undo()
     points.take([[0.5, 0.25], [0, 0], [0, 0]])
     assert points.points[0].residual_px == (-0.5, -0.25)
 

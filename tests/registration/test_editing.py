@@ -135,6 +135,19 @@ def test_a_point_beyond_the_image_is_kept_as_shown(folder: Path) -> None:
     assert editor.table.sigma_px[-1] == pytest.approx((1.0, 1.0))
 
 
+def test_a_place_in_the_target_may_be_a_pixel(folder: Path) -> None:
+    editor, other = editor_of(folder), editor_of(folder)
+    place_px = free_place(editor)
+    shown_px = place_px + SHIFT_PX + (0.4, -0.3)
+    reference_xy, target_xy = on_the_maps(place_px, shown_px)
+    assert editor.add(reference_xy, None, target_px=(float(shown_px[0]), float(shown_px[1])))
+    assert other.add(reference_xy, target_xy)
+    assert editor.table.target_px[-1] == pytest.approx(other.table.target_px[-1], abs=1e-6)
+    for nowhere in ((float("nan"), 1.0), (1.0,)):
+        with pytest.raises(InputError, match="nowhere near"):
+            editor.add(reference_xy, None, target_px=nowhere)
+
+
 def test_a_point_nowhere_near_the_images_is_refused(folder: Path) -> None:
     editor = editor_of(folder)
     for place in (1e38, float("nan"), float("inf")):

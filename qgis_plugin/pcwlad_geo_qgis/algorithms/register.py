@@ -8,7 +8,17 @@ from qgis import core
 
 from ..help import ONLY_GEOREFERENCE
 from ..text import mark, tr
-from .base import MODELS, RESAMPLINGS, Context, EngineAlgorithm, Feedback, Values, absolute, options_of
+from .base import (
+    MODELS,
+    RESAMPLINGS,
+    Context,
+    EngineAlgorithm,
+    Feedback,
+    Values,
+    absolute,
+    options_of,
+    words_of,
+)
 from .pair import PairAlgorithm
 
 VRT_MODELS = ("auto", "shift", "rigid", "similarity", "affine")
@@ -121,10 +131,12 @@ class ApplyRegistration(EngineAlgorithm):
         self.add(core.QgsProcessingParameterFile, "REGISTRATION", folder)
         self.add(core.QgsProcessingParameterRasterLayer, "INPUT")
         self.add(core.QgsProcessingParameterRasterDestination, "OUTPUT")
+        self.add(core.QgsProcessingParameterString, "EXTRA", optional=True, advanced=True)
 
     def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         folder = absolute(self.parameterAsFile(parameters, "REGISTRATION", context))
         place = absolute(self.parameterAsOutputLayer(parameters, "OUTPUT", context))
         arguments = ["warp", folder, *self.paths("INPUT"), "--output-raster", place, "--overwrite"]
+        arguments += words_of(self.parameterAsString(parameters, "EXTRA", context))
         self.run_command(arguments, feedback, {"warping": (0, 100)})
         return {"OUTPUT": place}

@@ -340,6 +340,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Klicken Sie eine Stelle des Layers an, dann wohin sie gehört; bis zu dreimal.</translation>
     </message>
     <message>
+      <source>The package index has no pcwlad-geo: choose “From a wheel…” or “From a folder…”.</source>
+      <translation>Der Paketindex hat pcwlad-geo nicht: „Aus einem Wheel…“ oder „Aus einem Ordner…“ wählen.</translation>
+    </message>
+    <message>
+      <source>{}: files of this kind can name other files. QGIS has opened it; the engine does so once you trust it.</source>
+      <translation>{}: Dateien dieser Art können andere Dateien nennen. QGIS hat sie geöffnet; die Engine tut es, sobald Sie ihnen vertrauen.</translation>
+    </message>
+    <message>
       <source>No pcwlad-geo engine was found.</source>
       <translation>Keine pcwlad-geo-Engine gefunden.</translation>
     </message>
@@ -1216,8 +1224,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Polynom 3</translation>
     </message>
     <message>
-      <source>Visible</source>
-      <translation>Sichtbar</translation>
+      <source>Enabled</source>
+      <translation>Aktiviert</translation>
     </message>
     <message>
       <source>ID</source>
@@ -1512,6 +1520,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Neben dem Layer</translation>
     </message>
     <message>
+      <source>Tie points (*.points *.csv *.pts *.txt)</source>
+      <translation>Passpunkte (*.points *.csv *.pts *.txt)</translation>
+    </message>
+    <message>
       <source>Wheel of pcwlad-geo</source>
       <translation>Wheel von pcwlad-geo</translation>
     </message>
@@ -1532,20 +1544,20 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Abgebrochen; nichts wurde geschrieben.</translation>
     </message>
     <message>
-      <source>Displacement</source>
-      <translation>Verschiebung</translation>
+      <source>{} aligned</source>
+      <translation>{} ausgerichtet</translation>
     </message>
     <message>
-      <source>Update engine</source>
-      <translation>Engine aktualisieren</translation>
+      <source>Displacement</source>
+      <translation>Verschiebung</translation>
     </message>
     <message>
       <source>{} is corrected.</source>
       <translation>{} ist korrigiert.</translation>
     </message>
     <message>
-      <source>{} aligned</source>
-      <translation>{} ausgerichtet</translation>
+      <source>Correct as “{}”:</source>
+      <translation>Korrigieren wie „{}“:</translation>
     </message>
     <message>
       <source>{} is not where it was, or cannot be read.</source>
@@ -1572,6 +1584,26 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Punkte speichern</translation>
     </message>
     <message>
+      <source>Switch on</source>
+      <translation>Einschalten</translation>
+    </message>
+    <message>
+      <source>Switch off</source>
+      <translation>Ausschalten</translation>
+    </message>
+    <message>
+      <source>Delete</source>
+      <translation>Löschen</translation>
+    </message>
+    <message>
+      <source>Undo</source>
+      <translation>Rückgängig</translation>
+    </message>
+    <message>
+      <source>Redo</source>
+      <translation>Wiederholen</translation>
+    </message>
+    <message>
       <source>{}: RMSE {:.3f} px at {} check points; {} points are on</source>
       <translation>{}: RMSE {:.3f} px an {} Kontrollpunkten; {} Punkte sind an</translation>
     </message>
@@ -1580,12 +1612,24 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Wählen Sie zuerst einen Punkt in der Tabelle.</translation>
     </message>
     <message>
+      <source>Now click the same place on the other map.</source>
+      <translation>Jetzt dieselbe Stelle auf der anderen Karte anklicken.</translation>
+    </message>
+    <message>
       <source>{}: RMSE {:.3f} px</source>
       <translation>{}: RMSE {:.3f} px</translation>
     </message>
     <message>
       <source>Saved: {}</source>
       <translation>Gespeichert: {}</translation>
+    </message>
+    <message>
+      <source>Update engine</source>
+      <translation>Engine aktualisieren</translation>
+    </message>
+    <message>
+      <source>Too few tie points place the layer.</source>
+      <translation>Zu wenige Passpunkte geben dem Layer einen Ort.</translation>
     </message>
     <message>
       <source>Choose the layer on the page “Align” first.</source>
@@ -1610,6 +1654,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>off</source>
       <translation>aus</translation>
+    </message>
+    <message>
+      <source>{} of {}</source>
+      <translation>{} von {}</translation>
     </message>
     <message>
       <source>The engine did not finish.</source>
@@ -1640,14 +1688,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Bringt den Layer auf die Referenz; der Layer selbst bleibt, wie er ist.</translation>
     </message>
     <message>
-      <source>Cancel</source>
-      <translation>Abbrechen</translation>
-    </message>
-    <message>
-      <source>Ends the work; nothing is left of it.</source>
-      <translation>Beendet die Arbeit; nichts bleibt davon zurück.</translation>
-    </message>
-    <message>
       <source>Open…</source>
       <translation>Öffnen…</translation>
     </message>
@@ -1662,26 +1702,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Opens the help in the browser; it comes with the plugin.</source>
       <translation>Öffnet die Hilfe im Browser; sie liegt dem Plugin bei.</translation>
-    </message>
-    <message>
-      <source>Downloads the engine from the package index, about 280 MB, into an environment of its own: 1 GB on the disk, some minutes.</source>
-      <translation>Lädt die Engine aus dem Paketverzeichnis, etwa 280 MB, in eine eigene Umgebung: 1 GB auf der Platte, einige Minuten.</translation>
-    </message>
-    <message>
-      <source>From a wheel…</source>
-      <translation>Aus einem Wheel…</translation>
-    </message>
-    <message>
-      <source>Installs the engine from its file pcwlad_geo-….whl; the libraries that it needs are downloaded.</source>
-      <translation>Installiert die Engine aus ihrer Datei pcwlad_geo-….whl; die nötigen Bibliotheken werden geladen.</translation>
-    </message>
-    <message>
-      <source>From a folder…</source>
-      <translation>Aus einem Ordner…</translation>
-    </message>
-    <message>
-      <source>Installs the engine from its source folder, the one with pyproject.toml.</source>
-      <translation>Installiert die Engine aus ihrem Quellordner, dem mit pyproject.toml.</translation>
     </message>
     <message>
       <source>Correct them too</source>
@@ -1724,20 +1744,68 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Blinken</translation>
     </message>
     <message>
-      <source>Model</source>
-      <translation>Modell</translation>
-    </message>
-    <message>
       <source>The correction that is fitted; the RMSE is that at the check points, which no fit uses.</source>
       <translation>Die Korrektur, die angepasst wird; der RMSE gilt für die Kontrollpunkte, die keine Anpassung nutzt.</translation>
     </message>
     <message>
-      <source>Takes the last change back.</source>
-      <translation>Nimmt die letzte Änderung zurück.</translation>
+      <source>Takes the last change back (Ctrl+Z).</source>
+      <translation>Nimmt die letzte Änderung zurück (Strg+Z).</translation>
     </message>
     <message>
-      <source>Undo</source>
-      <translation>Rückgängig</translation>
+      <source>Makes it again (Ctrl+Shift+Z).</source>
+      <translation>Macht sie noch einmal (Strg+Umschalt+Z).</translation>
+    </message>
+    <message>
+      <source>Click a point on either map: its row is selected.</source>
+      <translation>Klicken Sie einen Punkt auf einer der beiden Karten an: Seine Zeile wird ausgewählt.</translation>
+    </message>
+    <message>
+      <source>Pick</source>
+      <translation>Wählen</translation>
+    </message>
+    <message>
+      <source>Click the same place on both maps, in either order. Esc leaves.</source>
+      <translation>Dieselbe Stelle auf beiden Karten anklicken, in beliebiger Reihenfolge. Esc beendet.</translation>
+    </message>
+    <message>
+      <source>Add</source>
+      <translation>Hinzufügen</translation>
+    </message>
+    <message>
+      <source>Click where the selected point should be, on either map. Esc leaves.</source>
+      <translation>Auf einer der Karten dorthin klicken, wo der gewählte Punkt sein soll. Esc beendet.</translation>
+    </message>
+    <message>
+      <source>Move</source>
+      <translation>Verschieben</translation>
+    </message>
+    <message>
+      <source>Takes the selected points away (Del).</source>
+      <translation>Entfernt die gewählten Punkte (Entf).</translation>
+    </message>
+    <message>
+      <source>Matching refines a point within this radius, the circle on both maps.</source>
+      <translation>In diesem Umkreis, dem Kreis auf beiden Karten, wird ein Punkt durch Vergleich verfeinert.</translation>
+    </message>
+    <message>
+      <source>Refined within </source>
+      <translation>Verfeinert in </translation>
+    </message>
+    <message>
+      <source> px</source>
+      <translation> px</translation>
+    </message>
+    <message>
+      <source>How much longer than they are the residuals are drawn.</source>
+      <translation>Um wie viel länger, als sie sind, die Residuen gezeichnet werden.</translation>
+    </message>
+    <message>
+      <source>Arrows: automatic</source>
+      <translation>Pfeile: automatisch</translation>
+    </message>
+    <message>
+      <source>Arrows × </source>
+      <translation>Pfeile × </translation>
     </message>
     <message>
       <source>Switches off all points in a rectangle that you draw on the large map.</source>
@@ -1756,50 +1824,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Aus: länger als</translation>
     </message>
     <message>
-      <source> px</source>
-      <translation> px</translation>
-    </message>
-    <message>
-      <source>Click a point on either map: its row is selected.</source>
-      <translation>Klicken Sie einen Punkt auf einer der beiden Karten an: Seine Zeile wird ausgewählt.</translation>
-    </message>
-    <message>
-      <source>Pick</source>
-      <translation>Wählen</translation>
-    </message>
-    <message>
-      <source>Click the same place on both maps, in either order.</source>
-      <translation>Klicken Sie auf dieselbe Stelle in beiden Karten, in beliebiger Reihenfolge.</translation>
-    </message>
-    <message>
-      <source>Add</source>
-      <translation>Hinzufügen</translation>
-    </message>
-    <message>
-      <source>Click where the selected point should be, on either map.</source>
-      <translation>Klicken Sie auf einer der Karten, wohin der gewählte Punkt gehört.</translation>
-    </message>
-    <message>
-      <source>Move</source>
-      <translation>Verschieben</translation>
-    </message>
-    <message>
-      <source>Takes the selected points away.</source>
-      <translation>Entfernt die gewählten Punkte.</translation>
-    </message>
-    <message>
-      <source>Delete</source>
-      <translation>Löschen</translation>
-    </message>
-    <message>
-      <source>refined within</source>
-      <translation>verfeinert im Umkreis von</translation>
-    </message>
-    <message>
-      <source>Matching refines a point within this radius, the circle on both maps.</source>
-      <translation>In diesem Umkreis, dem Kreis auf beiden Karten, wird ein Punkt durch Vergleich verfeinert.</translation>
-    </message>
-    <message>
       <source>Writes a file of the Georeferencer.</source>
       <translation>Schreibt eine Datei des Georeferenzierers.</translation>
     </message>
@@ -1816,16 +1840,60 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Mit diesen ausrichten</translation>
     </message>
     <message>
-      <source>Arrows longer by</source>
-      <translation>Pfeile länger um</translation>
-    </message>
-    <message>
-      <source>How much longer than they are the residuals are drawn.</source>
-      <translation>Um wie viel länger, als sie sind, die Residuen gezeichnet werden.</translation>
-    </message>
-    <message>
       <source>The engine is starting…</source>
       <translation>Die Engine startet…</translation>
+    </message>
+    <message>
+      <source>Cancel</source>
+      <translation>Abbrechen</translation>
+    </message>
+    <message>
+      <source>Ends the work; nothing is left of it.</source>
+      <translation>Beendet die Arbeit; nichts bleibt davon zurück.</translation>
+    </message>
+    <message>
+      <source>Trust these files, and go on</source>
+      <translation>Diesen Dateien vertrauen und fortfahren</translation>
+    </message>
+    <message>
+      <source>The engine may read whatever these files name, wherever it is. Asked once for each file.</source>
+      <translation>Die Engine darf lesen, was diese Dateien nennen, wo immer es liegt. Wird je Datei einmal gefragt.</translation>
+    </message>
+    <message>
+      <source>Place by hand…</source>
+      <translation>Von Hand platzieren…</translation>
+    </message>
+    <message>
+      <source>Put the layer where it belongs with the mouse; it is registered from there.</source>
+      <translation>Den Layer mit der Maus dorthin schieben, wo er hingehört; von dort wird er registriert.</translation>
+    </message>
+    <message>
+      <source>Use points of a file…</source>
+      <translation>Punkte einer Datei verwenden…</translation>
+    </message>
+    <message>
+      <source>Aligns the layer by points that you have placed: of the Georeferencer (.points), tiepoints.csv, ENVI. Nothing is matched.</source>
+      <translation>Richtet den Layer nach Punkten aus, die Sie gesetzt haben: des Georeferenzierers (.points), tiepoints.csv, ENVI. Es wird nichts zugeordnet.</translation>
+    </message>
+    <message>
+      <source>Downloads the engine from the package index, about 280 MB, into an environment of its own: 1 GB on the disk, some minutes.</source>
+      <translation>Lädt die Engine aus dem Paketverzeichnis, etwa 280 MB, in eine eigene Umgebung: 1 GB auf der Platte, einige Minuten.</translation>
+    </message>
+    <message>
+      <source>From a wheel…</source>
+      <translation>Aus einem Wheel…</translation>
+    </message>
+    <message>
+      <source>Installs the engine from its file pcwlad_geo-….whl; the libraries that it needs are downloaded.</source>
+      <translation>Installiert die Engine aus ihrer Datei pcwlad_geo-….whl; die nötigen Bibliotheken werden geladen.</translation>
+    </message>
+    <message>
+      <source>From a folder…</source>
+      <translation>Aus einem Ordner…</translation>
+    </message>
+    <message>
+      <source>Installs the engine from its source folder, the one with pyproject.toml.</source>
+      <translation>Installiert die Engine aus ihrem Quellordner, dem mit pyproject.toml.</translation>
     </message>
     <message>
       <source>By the mouse</source>
@@ -1866,10 +1934,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Takes back the last step: Ctrl-Z.</source>
       <translation>Macht den letzten Schritt rückgängig: Strg+Z.</translation>
-    </message>
-    <message>
-      <source>Redo</source>
-      <translation>Wiederholen</translation>
     </message>
     <message>
       <source>Does again what was taken back.</source>

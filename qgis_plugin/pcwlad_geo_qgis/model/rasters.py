@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from qgis.core import QgsMapLayer, QgsProject, QgsProviderRegistry, QgsRasterLayer, QgsVectorLayer
@@ -45,6 +46,14 @@ def problem_of(layer: QgsMapLayer) -> str:
     if subset:
         return tr(FILTERED).format(name, subset)
     return ""
+
+
+def file_behind(source: str) -> Path | None:
+    """Return the file that holds a layer: its own, the archive around it; None if none does."""
+    bare = re.sub(r"^(/vsi[a-z0-9]+/)+", "", source.split("|")[0])
+    if not Path(bare).is_file() and (named := re.match(r'\w{2,}:"?(.+?)"?(:[^:/\\]*)?$', bare)):
+        bare = named.group(1)
+    return next((each for each in (Path(bare), *Path(bare).parents) if each.is_file()), None)
 
 
 def crs_differs(layer: QgsRasterLayer) -> bool:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from pathlib import Path
-from typing import Callable
+from typing import Any, Callable
 
 from qgis import core
 
 from ..process.points import Points
 from ..text import tr
-from .tie_points import add_vectors, open_tie_points, renderer_of
+from .tie_points import COLOURS, add_vectors, open_tie_points, renderer_of, symbol_of
 
 CHANGING = ("status", "residual_col", "residual_row")
 """Columns of tie points that change while they are edited."""
@@ -24,6 +24,14 @@ def add_group(name: str, anew: bool = True) -> core.QgsLayerTreeGroup:
     return found if found and not anew else root.insertGroup(0, unused(name, " ", root.findGroup))
 
 
+def put_behind(name: str) -> None:
+    """Switch off and fold earlier groups of a name, with or without a number."""
+    for group in core.QgsProject.instance().layerTreeRoot().findGroups():
+        if group.name().rstrip("0123456789").rstrip() == name:
+            group.setItemVisibilityChecked(False)
+            group.setExpanded(False)
+
+
 def unused(name: str, separator: str, used: Callable[[str], object]) -> str:
     """Return a name that is not used, with the least number at its end that it needs."""
     names = (name if number == 1 else f"{name}{separator}{number}" for number in itertools.count(1))
@@ -34,9 +42,12 @@ def add_raster(path: str, target: core.QgsMapLayer, group: core.QgsLayerTreeGrou
     """Add a corrected raster, or vectors, with the style and name of what was corrected."""
     made = core.QgsVectorLayer if isinstance(target, core.QgsVectorLayer) else core.QgsRasterLayer
     layer = made(path, target.name(), target.providerType())
+    own_alpha = layer.renderer().alphaBand() if made is core.QgsRasterLayer else -1
     style = core.QgsMapLayerStyle()
     style.readFromLayer(target)
     style.writeToLayer(layer)
+    if own_alpha > 0:  # the target has no such band, and its style would show what is empty in black
+        layer.renderer().setAlphaBand(own_alpha)
     layer.setName(target.name())
     core.QgsProject.instance().addMapLayer(layer, False)
     group.insertLayer(0 if made is core.QgsVectorLayer else -1, layer)
@@ -81,3 +92,32 @@ class PointLayer:
         """Return status and residual of a point: observed minus model, as in all our layers."""
         residual = [core.NULL if math.isnan(part) else -part for part in self._points.points[row].residual_px]
         return [self._points.status(row), *residual]
+
+
+class FrameLayer:
+    """A layer of the points where the target shows them, in its own frame: it has no place on the map."""
+
+    def __init__(self, points: Points, target: core.QgsRasterLayer, place: Callable[[int], Any]) -> None:
+        self._points, self._place = points, place
+        self.layer = core.QgsVectorLayer("Point?field=row:integer&field=status:string", "target", "memory")
+        self.layer.setCrs(target.crs())
+        categories = [core.QgsRendererCategory(each, symbol_of(COLOURS[each]), each) for each in COLOURS]
+        self.layer.setRenderer(core.QgsCategorizedSymbolRenderer("status", categories))
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show the points as they are now."""
+        shown = []
+        for row in range(len(self._points.points)):
+            feature = core.QgsFeature(self.layer.fields())
+            feature.setGeometry(core.QgsGeometry.fromPointXY(self._place(row)))
+            feature.setAttributes([row, self._points.status(row)])
+            shown.append(feature)
+        self.layer.dataProvider().truncate()
+        self.layer.dataProvider().addFeatures(shown)
+        self.layer.updateExtents()
+        self.layer.triggerRepaint()
+
+    def index_of(self, feature_id: int) -> int:
+        """Return the point that a feature shows."""
+        return self.layer.getFeature(feature_id)["row"]

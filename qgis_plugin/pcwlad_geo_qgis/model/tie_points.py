@@ -11,6 +11,7 @@ from qgis import core
 from qgis.PyQt import sip
 
 from ..help import STATUSES
+from ..process.points import affine_of
 from ..text import tr
 
 VECTORS = {"displacement": ("d_col", "d_row"), "residual": ("residual_col", "residual_row")}
@@ -85,23 +86,8 @@ def pixel_to_map(features: Iterable[core.QgsFeature]) -> Matrix | None:
         In units of the reference CRS a pixel; None where the points do not span an area.
     """
     rows = [[each[name] for name in PLACES] for each in features if each["status"] != "rejected"]
-    if len(rows) < 3:
-        return None
-    means = [math.fsum(column) / len(rows) for column in zip(*rows)]  # Python 3.9 has no strict
-    centred = [[value - mean for value, mean in zip(row, means)] for row in rows]
-
-    def moment(one: int, other: int) -> float:
-        return math.fsum(row[one] * row[other] for row in centred)
-
-    cc, cr, rr = moment(0, 0), moment(0, 1), moment(1, 1)
-    determinant = cc * rr - cr * cr
-    if determinant <= 1e-9 * cc * rr:
-        return None
-    steps = []
-    for axis in (2, 3):
-        c, r = moment(0, axis), moment(1, axis)
-        steps += [(c * rr - r * cr) / determinant, (r * cc - c * cr) / determinant]
-    return steps[0], steps[1], steps[2], steps[3]
+    found = affine_of(rows)
+    return found and (found.a, found.b, found.d, found.e)
 
 
 class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):
@@ -150,12 +136,13 @@ def renderer_of(layer: core.QgsVectorLayer, factor: float | None = None) -> core
         if status in found:
             arrows = bool(factor) and status != "rejected"
             label = legend.format(tr(STATUSES[status]), factor) if arrows else tr(STATUSES[status])
-            symbol = _symbol(colour, vector, factor if arrows else 0.0)
+            symbol = symbol_of(colour, vector, factor if arrows else 0.0)
             categories.append(core.QgsRendererCategory(status, symbol, label))
     return core.QgsCategorizedSymbolRenderer("status", categories)
 
 
-def _symbol(colour: str, vector: str, factor: float) -> core.QgsMarkerSymbol:
+def symbol_of(colour: str, vector: str = "", factor: float = 0.0) -> core.QgsMarkerSymbol:
+    """Return a dot, with an arrow for a vector where there is a factor."""
     symbol = core.QgsMarkerSymbol.createSimple(
         {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.3"}
     )

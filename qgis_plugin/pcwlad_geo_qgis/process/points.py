@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 
 @dataclass
@@ -43,6 +43,53 @@ def point_of(row: dict[str, Any]) -> Point:
     return Point(int(number("id")), number("x"), number("y"), where, sigma, row["status"], residual)
 
 
+class Affine(NamedTuple):
+    """x = a u + b v + c, y = d u + e v + f."""
+
+    a: float
+    b: float
+    c: float
+    d: float
+    e: float
+    f: float
+
+    def __call__(self, u: float, v: float) -> tuple[float, float]:
+        """Return (x, y)."""
+        return self.a * u + self.b * v + self.c, self.d * u + self.e * v + self.f
+
+    @property
+    def determinant(self) -> float:
+        """How much larger an area becomes; negative where it is mirrored."""
+        return self.a * self.e - self.b * self.d
+
+    def inverse(self) -> Affine:
+        """Return the function from (x, y) to (u, v)."""
+        a, b, d, e = (value / self.determinant for value in (self.e, -self.b, -self.d, self.a))
+        return Affine(a, b, -a * self.c - b * self.f, d, e, -d * self.c - e * self.f)
+
+
+def affine_of(rows: Sequence[Sequence[float]]) -> Affine | None:
+    """Return the affine function that fits rows (u, v, x, y); None where they do not determine it."""
+    if len(rows) < 3:
+        return None
+    means = [math.fsum(column) / len(rows) for column in zip(*rows)]  # Python 3.9 has no strict
+    centred = [[value - mean for value, mean in zip(row, means)] for row in rows]
+
+    def moment(one: int, other: int) -> float:
+        return math.fsum(row[one] * row[other] for row in centred)
+
+    uu, uv, vv = moment(0, 0), moment(0, 1), moment(1, 1)
+    determinant = uu * vv - uv * uv
+    if determinant <= 1e-9 * uu * vv:
+        return None
+    parts: list[float] = []
+    for axis in (2, 3):
+        u, v = moment(0, axis), moment(1, axis)
+        first, second = (u * vv - v * uv) / determinant, (v * uu - u * uv) / determinant
+        parts += [first, second, means[axis] - first * means[0] - second * means[1]]
+    return Affine(*parts)
+
+
 @dataclass
 class Points:
     """All points of a job, and the changes to them."""
@@ -56,6 +103,8 @@ class Points:
     """Of each model, for the points that are on; None where they do not determine it."""
     _before: list[tuple[set[int], set[int], int]] = field(default_factory=list)
     """What was off and gone, and how many points there were."""
+    _after: list[tuple[set[int], set[int]]] = field(default_factory=list)
+    """What was taken back: what is off and gone with it."""
 
     @classmethod
     def read(cls, folder: Path) -> Points:
@@ -76,17 +125,36 @@ class Points:
     def _change(self, off: set[int], gone: set[int]) -> bool:
         if (off, gone) == (self.off, self.gone):
             return False
-        self._before.append((self.off, self.gone, len(self.points)))
+        self._keep()
         self.off, self.gone = off, gone
         return True
+
+    def _keep(self) -> None:
+        self._before.append((self.off, self.gone, len(self.points)))
+        self._after = []
 
     def undo(self) -> bool:
         """Take back the last change, and return whether there was one."""
         if not self._before:
             return False
+        self._after.append((self.off, self.gone))
         self.off, gone, count = self._before.pop()
         self.gone = gone | set(range(count, len(self.points)))
         return True
+
+    def redo(self) -> bool:
+        """Make the change again that was taken back last, and return whether there was one."""
+        if not self._after:
+            return False
+        after = self._after[:-1]
+        self._change(*self._after[-1])
+        self._after = after
+        return True
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is a change to make again."""
+        return bool(self._after)
 
     @property
     def can_undo(self) -> bool:
@@ -95,7 +163,7 @@ class Points:
 
     def add(self, row: dict[str, Any], instead_of: int | None = None) -> None:
         """Append a point that the engine has placed, perhaps instead of one; it is one change."""
-        self._before.append((self.off, self.gone, len(self.points)))
+        self._keep()
         self.points.append(point_of(row))
         self.gone = self.gone | ({instead_of} - {None})
 
@@ -108,6 +176,14 @@ class Points:
         """Return the points that are on and have longer residuals than so many pixels."""
         shown = set(range(len(self.points))) - self.off - self.gone
         return sorted(index for index in shown if self.points[index].length_px > length_px)
+
+    def placement(self) -> Affine | None:
+        """Return the affine function from target pixels to the map of the points that are on.
+
+        None where they do not span an area.
+        """
+        used = [each for row, each in enumerate(self.points) if row not in self.off | self.gone]
+        return affine_of([(*each.target_px, each.x, each.y) for each in used])
 
     def status(self, index: int) -> str:
         """Return what a point counts as now."""

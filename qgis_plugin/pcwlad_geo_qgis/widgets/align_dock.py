@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,10 @@ from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui, QtWidgets, uic
 
 from ..algorithms.base import temporary_folder
-from ..help import DRAWN, INSTALL_ONE, MARKED, MORE_LAYERS, NO_ENGINE, OTHER_BANDS
+from ..help import DRAWN, MORE_LAYERS, NEEDS_TRUST, OTHER_BANDS
 from ..model import settings
-from ..model.rasters import other_raster
-from ..model.results import add_group, add_raster, unused
+from ..model.rasters import file_behind, other_raster
+from ..model.results import add_group, add_raster, put_behind, unused
 from ..process.advice import report_in
 from ..process.engine import EngineError, help_page
 from ..process.figures import earlier, told
@@ -21,8 +20,10 @@ from ..text import tr
 from .choices import Choices
 from .compare import SwipeTool
 from .editor import PointEditor
+from .footer import Footer
 from .place_page import PlacePage
 from .runner import Job, Runner
+from .session import Session
 
 NAMES = ("register", "apply", "applyvectors", "installengine")
 REGISTER, APPLY, MOVE, INSTALL = (f"pcwlad_geo:{name}" for name in NAMES)
@@ -31,6 +32,11 @@ LIMITS = ("AREA", "EXCLUDED", "REFERENCE_MASK", "INPUT_MASK")
 ADVANCED = ("SEARCH_RADIUS", "WINDOW", "MAX_CE90", *LIMITS, "GEOREFERENCE", "LIKE")
 """Parameters of “Register raster” that have a widget, beside those of the form."""
 BLINK_MS = 700
+ALIGN, POINTS, COMPARE = range(3)
+"""Pages of the dock."""
+TRUST = "--trust-vrt"
+OFFERED = ("start_button", "open_button", "open_points_button", "apply_box", "engine_box", "next_box")
+"""What can be used while nothing runs."""
 
 
 class AlignDock(gui.QgsDockWidget):
@@ -41,17 +47,26 @@ class AlignDock(gui.QgsDockWidget):
         self.setObjectName("PcwladGeoAlign")
         self._canvas, self._bridge = iface.mapCanvas(), iface.layerTreeCanvasBridge()
         self._runner, self.choices = Runner(self), Choices(self._canvas)
-        self._told: list[str] = []
+        self._trusted: set[str] = set()
+        self._untrusted: list[Job] = []
         self.editor: PointEditor | None = None
         self.layers: dict[str, core.QgsMapLayer] = {}
         self.swipe = SwipeTool(self._canvas)
         self.blink = QtCore.QTimer(self)
         self.tabs = uic.loadUi(str(Path(__file__).with_name("align.ui")))
-        self.__dict__.update({each.objectName(): each for each in self.tabs.findChildren(QtCore.QObject)})
+        self.footer, whole = Footer(), QtWidgets.QWidget()
+        parts = [*self.tabs.findChildren(QtCore.QObject), *self.footer.findChildren(QtCore.QObject)]
+        self.__dict__.update({each.objectName(): each for each in parts})
+        self.verdict_area = self.footer.verdict_area
         self.place = PlacePage(self._canvas)
         self.tabs.addTab(self.place, tr("Place"))
-        self.setWidget(self.tabs)
+        column = QtWidgets.QVBoxLayout(whole)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.tabs, 1)
+        column.addWidget(self.footer)
+        self.setWidget(whole)
         self._fill()
+        self._widen()
 
     def _fill(self) -> None:
         """Complete what the form cannot hold: filters, choices, what happens at a click."""
@@ -64,6 +79,7 @@ class AlignDock(gui.QgsDockWidget):
             box.setFilters(core.QgsMapLayerProxyModel.Filter.RasterLayer)
             box.layerChanged.connect(band.setLayer)
             band.setLayer(box.currentLayer())
+        self.advanced.collapsedStateChanged.connect(self._widen)
         self.folder.lineEdit().setPlaceholderText(tr("Beside the layer"))
         self.start_button.clicked.connect(lambda: self.start())
         self.cancel_button.clicked.connect(self._runner.cancel)
@@ -72,6 +88,9 @@ class AlignDock(gui.QgsDockWidget):
         self.index_button.clicked.connect(lambda: self.install({}))
         self.wheel_button.clicked.connect(self._choose_wheel)
         self.source_button.clicked.connect(self._choose_source)
+        self.trust_button.clicked.connect(self.trust)
+        self.place_button.clicked.connect(lambda: self.tabs.setCurrentWidget(self.place))
+        self.given_button.clicked.connect(self._choose_points)
         for button in (self.open_button, self.open_points_button):
             button.clicked.connect(lambda: self.open_earlier())
         self.swipe.setButton(self.swipe_button)
@@ -79,16 +98,14 @@ class AlignDock(gui.QgsDockWidget):
         self.blink_button.toggled.connect(self._blink)
         self.with_reference.toggled.connect(lambda: self._swipe(self.swipe_button.isChecked()))
         self.blink.timeout.connect(self.turn)
-        self.tabs.currentChanged.connect(self._turn_page)
-        self.target.layerChanged.connect(self._turn_page)
+        self.tabs.currentChanged.connect(lambda: self._turn_page())
+        self.target.layerChanged.connect(lambda: self._turn_page())
         self.place.snap_button.clicked.connect(lambda: self.snap())
-        self.place.cancel_button.clicked.connect(self._runner.cancel)
         self._bridge.canvasLayersChanged.connect(self._show_page)
         self.closed.connect(self.stop)
         self._runner.stage.connect(self.stage.setText)
-        for bar in (self.progress, self.place.progress):
-            self._runner.progress.connect(bar.setValue)
-        self._runner.failed.connect(lambda name, why: self._tell(f"{name}: {why}" if name else why))
+        self._runner.progress.connect(self.progress.setValue)
+        self._runner.failed.connect(self._fail)
         self._runner.ended.connect(self._end)
         core.QgsProject.instance().layersWillBeRemoved.connect(self._leave)
         core.QgsProject.instance().cleared.connect(self._clear)
@@ -100,14 +117,26 @@ class AlignDock(gui.QgsDockWidget):
         self.reference.setLayer(core.QgsProject.instance().mapLayer(other_raster() or ""))
         self.show()
         self.raise_()
+        self.start_button.setFocus()
+        if not self._runner.running:
+            try:
+                settings.find_engine()
+            except EngineError as error:
+                self.footer.clear()
+                self.footer.tell(str(error))
+            else:
+                if self.engine_box.isVisible():
+                    self.footer.clear()
 
     def start(self) -> None:
         """Align the layer, and more layers that are chosen."""
-        more, jobs = self.choices.layers("MORE"), []
-        for target in (self.target.currentLayer(), *more):
+        pair, jobs = [box.currentLayer() for box in (self.reference, self.target)], []
+        used = [each.source() for each in pair if each is not None]
+        more = [each for each in self.choices.layers("MORE") if each.source() not in used]
+        for target in (pair[1], *more):
             taken = [each.parameters["OUTPUT_FOLDER"] for each in jobs]
             place = self.out_folder(target, bool(more), taken)
-            jobs.append(self._job(self.reference.currentLayer(), target, OUTPUT_FOLDER=place))
+            jobs.append(self._job(pair[0], target, OUTPUT_FOLDER=place))
             jobs[-1].name = target.name() if more and target else ""
         self._begin(jobs)
 
@@ -115,8 +144,10 @@ class AlignDock(gui.QgsDockWidget):
         """Align the layer from where it is put by hand; a refusal leaves it there."""
         reference, target = self.reference.currentLayer(), self.place.layer
         if target is None or reference is None or reference == target:
-            self._told = []
-            self._tell(tr("Choose the layer and another one as its reference on the page “Align” first."))
+            self.footer.clear()
+            self.footer.tell(
+                tr("Choose the layer and another one as its reference on the page “Align” first.")
+            )
             return
         where = ",".join(map(repr, self.place.ghost.placement.geotransform(reference.crs())))
         place = self.out_folder(target, False, [])
@@ -129,24 +160,71 @@ class AlignDock(gui.QgsDockWidget):
         chosen = {name: self.choices.value(name) for name in (*MAIN, *ADVANCED)}
         chosen.update(REFERENCE_BAND=self.reference_band.currentBand(), REFERENCE=reference)
         chosen.update(INPUT_BAND=self.target_band.currentBand(), INPUT=target, **more)
-        return Job(REGISTER, chosen, self._load)
+        return self._sure(Job(REGISTER, chosen, self._load))
+
+    def _sure(self, job: Job) -> Job:
+        """Return the job, with the trust of its user where a layer has it."""
+        if _sources(job) & self._trusted:
+            job.parameters["EXTRA"] = TRUST
+        return job
 
     def _begin(self, jobs: list[Job]) -> None:
         """Begin; what is wrong with the engine or the choices is told instead."""
-        self._told = []
-        self.engine_box.setVisible(jobs[0].algorithm == INSTALL)
+        if self._runner.running:
+            return
+        self.footer.clear()
+        self._untrusted = []
+        if jobs[0].algorithm == REGISTER:
+            self._forget()
         problem = next(filter(None, (each.problem() for each in jobs)), "")
         if problem:
-            self._tell(problem)
-            return
-        self.verdict.clear()
-        self._offer(running=True)
-        self._runner.begin(jobs)
+            self.footer.tell(problem)
+        elif self._runner.begin(jobs):
+            self.engine_box.setVisible(jobs[0].algorithm == INSTALL)
+        self._offer(self._runner.running)
+
+    def _forget(self) -> None:
+        """Offer no correction of before for other bands: it is of another pair."""
+        self.apply_box.hide()
+        for name in ("OTHERS", "DRAWN"):
+            self.choices.set(name, None)
+
+    def _fail(self, job: Job, why: str) -> None:
+        """Tell why a job has failed, and offer what can be done."""
+        rasters = [layer for layer in job.parameters.values() if isinstance(layer, core.QgsRasterLayer)]
+        if TRUST in why and not _sources(job) <= self._trusted and job.algorithm in (REGISTER, APPLY):
+            self._untrusted.append(job)
+            named = [each.name() for each in rasters if each.source() in why]
+            self.footer.tell(tr(NEEDS_TRUST).format(", ".join(named) or job.name), grade="note")
+        else:
+            self.footer.tell(f"{job.name}: {why}" if job.name else why)
+        refused = job.algorithm == REGISTER and bool(report_in(why))
+        if refused:
+            self._refused = job
+        self.footer.offer(bool(self._untrusted), refused)
+
+    def trust(self) -> None:
+        """Do again what has failed for want of trust in files."""
+        jobs = self._untrusted
+        for job in jobs:
+            self._trusted |= _sources(job)
+        self._begin([self._sure(each) for each in jobs])
+
+    def _choose_points(self) -> None:
+        asked, kinds = tr("Tie points of a file"), tr("Tie points (*.points *.csv *.pts *.txt)")
+        path, _ = QtWidgets.QFileDialog.getOpenFileName(self, asked, "", kinds)
+        if path:
+            self.align_by(path)
+
+    def align_by(self, points: str) -> None:
+        """Align the pair that was refused by the points of a file."""
+        job = self._refused
+        self._begin([Job(job.algorithm, {**job.parameters, "TIE_POINTS": points}, job.take, job.name)])
 
     def _take_installed(self, job: Job, results: dict[str, Any]) -> None:
         self.engine_box.hide()
         text = tr("The engine is installed: pcwlad-geo {}").format(results["VERSION"])
-        self._tell(text, grade="good", more="\n".join(results["WARNINGS"]))
+        self.footer.tell(text, grade="good", more=results["WARNINGS"])
 
     def install(self, source: dict[str, str]) -> None:
         """Install the engine: from the package index, or from a wheel or folder."""
@@ -163,41 +241,32 @@ class AlignDock(gui.QgsDockWidget):
 
     def out_folder(self, layer: core.QgsRasterLayer | None, several: bool, taken: list[str]) -> str:
         """Return the folder of the results: the chosen one, one in it, or a new one beside the layer."""
-        chosen, source = self.folder.filePath(), Path(layer.source()) if layer is not None else Path()
+        chosen, file = self.folder.filePath(), file_behind(layer.source()) if layer is not None else None
         if chosen and not several:
             return chosen
-        if not source.is_file():
+        if file is None:
             return str(temporary_folder() / "aligned")
-        place = str(Path(chosen or source.parent) / f"{source.stem}_aligned")
+        place = str(Path(chosen or file.parent) / f"{Path(layer.source()).stem}_aligned")
         return unused(place, "_", lambda name: name in taken or Path(name).exists())
 
     def _offer(self, running: bool) -> None:
         """Offer what can be done while something runs, or while nothing does."""
-        for name in ("start_button", "open_button", "open_points_button", "apply_box", "engine_box"):
+        buttons = self.start_button, self.cancel_button
+        had_focus = buttons[not running].hasFocus()
+        self.footer.run(running)
+        for name in OFFERED:
             getattr(self, name).setDisabled(running)
-        self.cancel_button.setEnabled(running)
         self.place.set_running(running)
+        if self.editor is not None:
+            self.editor.use_button.setDisabled(running)
+        if had_focus:  # else the first field would get it
+            buttons[running].setFocus()
 
     def _end(self, cancelled: bool) -> None:
         """Be ready for another run."""
         self._offer(running=False)
-        self.stage.clear()
-        self.progress.setValue(0)
         if cancelled:
-            self._tell(tr("Cancelled; nothing was written."), grade="")
-
-    def _tell(self, message: str, report: str = "", grade: str = "refused", more: str = "") -> None:
-        """Add a verdict or why there is none to those of this run, with figures and a link to the report."""
-        report = report or report_in(message)
-        link = f' <a href="{Path(report).absolute().as_uri()}">{tr("Report")}</a>' if report else ""
-        head, tail = (escape(text).replace("\n", "<br>") for text in (message, more))
-        self._told += filter(None, [MARKED[grade].format(head) + link, tail])
-        for label in (self.verdict, self.place.told):
-            label.setText("<br>".join(self._told))
-        if tr(INSTALL_ONE) in message:
-            missing = tr(NO_ENGINE) in message
-            self.index_button.setText(tr("Install engine") if missing else tr("Update engine"))
-            self.engine_box.show()
+            self.footer.tell(tr("Cancelled; nothing was written."), grade="")
 
     def open_earlier(self, folder: str = "") -> None:
         """Show an earlier registration as if it had just ended; the user chooses one if none is given."""
@@ -205,12 +274,13 @@ class AlignDock(gui.QgsDockWidget):
         folder = folder or QtWidgets.QFileDialog.getExistingDirectory(self, asked)
         if not folder:
             return
-        self._told = []
+        self.footer.clear()
+        self._forget()
         try:
             settings.find_engine()
             outcome = earlier(Path(folder))
         except EngineError as error:
-            self._tell(str(error))
+            self.footer.tell(str(error))
             return
         project, pair = core.QgsProject.instance(), {}
         sources = [each.source() for each in project.mapLayers().values()]
@@ -218,11 +288,12 @@ class AlignDock(gui.QgsDockWidget):
             path = outcome["paths"][role]
             pair[name] = core.QgsRasterLayer(path, Path(path).stem)
             if not pair[name].isValid():
-                self._tell(tr("{} is not where it was, or cannot be read.").format(path))
+                self.footer.tell(tr("{} is not where it was, or cannot be read.").format(path))
                 return
             if path not in sources:
                 project.addMapLayer(pair[name].clone())
-        self._load(Job(REGISTER, pair, self._load), {**told(outcome), "OUTPUT_FOLDER": folder})
+        done = {**told(outcome), "OUTPUT_FOLDER": folder, "WARNINGS": []}
+        self._load(Job(REGISTER, pair, self._load), done)
 
     def apply_to_others(self) -> None:
         """Correct other bands of the layer as it was corrected."""
@@ -231,7 +302,7 @@ class AlignDock(gui.QgsDockWidget):
             place = str(self._folder / f"{Path(layer.source()).stem}_registered")
             place = unused(place, "_", lambda name: f"{name}.tif" in jobs or Path(f"{name}.tif").exists())
             given = {"REGISTRATION": str(self._folder), "INPUT": layer, "OUTPUT": f"{place}.tif"}
-            jobs[given["OUTPUT"]] = Job(APPLY, given, self._take_applied, layer.name())
+            jobs[given["OUTPUT"]] = self._sure(Job(APPLY, given, self._take_applied, layer.name()))
         if drawn := self.choices.layers("DRAWN"):
             place = unused(str(self._folder / "vectors"), "_", lambda name: Path(name).exists())
             given = {"REGISTRATION": str(self._folder), "INPUTS": drawn, "OUTPUT_FOLDER": place}
@@ -241,22 +312,24 @@ class AlignDock(gui.QgsDockWidget):
 
     def _take_applied(self, job: Job, results: dict[str, Any]) -> None:
         add_raster(results["OUTPUT"], job.parameters["INPUT"], add_group(self._group, anew=False))
-        self._tell(tr("{} is corrected.").format(job.name), grade="good")
+        self.footer.tell(tr("{} is corrected.").format(job.name), grade="good")
 
     def _take_moved(self, job: Job, results: dict[str, Any]) -> None:
         group = add_group(self._group, anew=False)
         for path, layer in zip(results["OUTPUT_LAYERS"], job.parameters["INPUTS"]):
             add_raster(path, layer, group)
-        self._tell(tr("{} is corrected.").format(job.name), grade="good")
+        self.footer.tell(tr("{} is corrected.").format(job.name), grade="good")
 
     def _load(self, job: Job, results: dict[str, Any]) -> None:
         """Load the results, grouped, with the target's own style and name."""
         self._close_editor()
         if self.tabs.currentWidget() is self.place:
-            self.tabs.setCurrentIndex(0)  # it lies where it belongs
+            self.tabs.setCurrentIndex(ALIGN)  # it lies where it belongs
         self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
         self._folder, paths, target = Path(results["OUTPUT_FOLDER"]), results["PATHS"], self._pair[1]
-        group = add_group(tr("{} aligned").format(target.name()))
+        name = tr("{} aligned").format(target.name())
+        put_behind(name)
+        group = add_group(name)
         self._group = group.name()
         raster = results.get("GEOREFERENCED") or paths["raster"]
         self.layers = {"after": add_raster(raster, target, group)}
@@ -265,23 +338,31 @@ class AlignDock(gui.QgsDockWidget):
                 if layer.source() == copy.source():
                     self.layers[role] = layer
         verdict = f"{job.name}: {results['VERDICT']}" if job.name else results["VERDICT"]
-        self._tell(verdict, paths["report"], results["QUALITY"], results["FACTS"])
+        warnings = [f"⚠ {each}" for each in results["WARNINGS"]]
+        self.footer.tell(verdict, paths["report"], results["QUALITY"], [results["FACTS"], *warnings])
         self._open_editor()
         for role, title in (("tie_points", tr("Tie points")), ("displacements", tr("Displacement"))):
             layer = core.QgsVectorLayer(f"{paths['geopackage']}|layername={role}", title)
             self.layers[role] = core.QgsProject.instance().addMapLayer(layer, False)
-            group.insertLayer(0, layer).setItemVisibilityChecked(role == "tie_points")
+            node = group.insertLayer(0, layer)
+            node.setItemVisibilityChecked(role == "tie_points")
+            node.setExpanded(False)
         self.compare_page.setEnabled({"before", "after"} <= set(self.layers))
+        self.apply_title.setText(tr("Correct as “{}”:").format(target.name()))
         self.apply_box.show()
         self._bridge.setCanvasLayers()
 
     def _open_editor(self) -> None:
-        self.editor = PointEditor(settings.find_engine(), self._folder, self._pair, self._canvas)
+        trusted = bool({each.source() for each in self._pair} & self._trusted)
+        session = Session(settings.find_engine(), self._folder, [TRUST] if trusted else [])
+        self.editor = PointEditor(session, self._folder, self._pair, self._canvas)
         for layer in self._pair:  # they go with it, in this thread
             layer.setParent(self.editor)
         self.editor.apply.connect(self._align_again)
         self.points_page.layout().insertWidget(0, self.editor)
-        self.layers["points"] = core.QgsProject.instance().addMapLayer(self.editor.layer.layer, False)
+        self.open_points_button.hide()
+        self.editor.use_button.setDisabled(self._runner.running)
+        self.layers["points"] = self.editor.layer.layer  # which is no layer of the project, nor saved with it
 
     def _align_again(self, points: str, model: str) -> None:
         """Register the pair that was edited with its points."""
@@ -290,27 +371,32 @@ class AlignDock(gui.QgsDockWidget):
         self._begin([self._job(*self._pair, OUTPUT_FOLDER=place, TIE_POINTS=points, MODEL=model)])
 
     def _close_editor(self) -> None:
+        if self.layers.pop("points", None) is not None:
+            self._bridge.setCanvasLayers()
         if self.editor is not None:
             self.editor.close_session()
             self.editor.hide()
             self.editor.deleteLater()
             self.editor = None
-        if "points" in self.layers:
-            core.QgsProject.instance().removeMapLayer(self.layers.pop("points").id())
+            self.open_points_button.show()
 
     def _turn_page(self) -> None:
-        """Show what the page is about; only its own page puts the layer by hand."""
-        placing = self.tabs.currentWidget() is self.place
+        """Show what the page is about, and put away what belongs to others; only its own places the layer."""
+        page = self.tabs.currentIndex()
+        if page != COMPARE:
+            self._stop_comparing()
+        if self.editor is not None and page != POINTS:
+            self.editor.rest()
         pair = self.target.currentLayer(), self.reference.currentLayer()
-        self.place.begin(*pair) if placing else self.place.end()
+        self.place.begin(*pair) if self.tabs.currentWidget() is self.place else self.place.end()
         self._bridge.setCanvasLayers()
 
     def _show_page(self, layers: list[core.QgsMapLayer]) -> None:
         """Show on the map what the page is about, of the layers that are switched on."""
         page = self.tabs.currentIndex()
-        if page == 1 and "reference" in self.layers:
+        if page == POINTS and "reference" in self.layers:
             layers = [self.layers[role] for role in ("points", "reference") if role in self.layers]
-        elif page == 2:  # the comparison of rasters, which nothing covers
+        elif page == COMPARE:  # the comparison of rasters, which nothing covers
             layers = [each for each in layers if isinstance(each, core.QgsRasterLayer)]
         self._canvas.setLayers([each for each in layers if each != self.place.layer])
 
@@ -320,8 +406,6 @@ class AlignDock(gui.QgsDockWidget):
         for role in gone:
             del self.layers[role]
         self.place.forget(ids)
-        if "points" in gone:
-            self._close_editor()
         if gone & {"before", "after"}:
             self._stop_comparing()
             self.compare_page.setEnabled(False)
@@ -330,6 +414,10 @@ class AlignDock(gui.QgsDockWidget):
         """Let go of a project that is left: nothing of its work belongs into the next one."""
         self._runner.cancel()
         self.choices.reset()
+        self.footer.clear()
+        self._forget()
+        self._close_editor()
+        self.layers = {}
 
     def _stop_comparing(self) -> None:
         for button in (self.swipe_button, self.blink_button):
@@ -353,13 +441,26 @@ class AlignDock(gui.QgsDockWidget):
         self._canvas.setLayers(self._other() if self._canvas.layers() == after else after)
 
     def stop(self) -> None:
-        """End the editor, swipe and blink: the dock is closed."""
+        """End swipe, blink and an editor without edits: the dock is closed. Edits stay until it is opened."""
         self._stop_comparing()
-        self.tabs.setCurrentIndex(0)
+        self.tabs.setCurrentIndex(ALIGN)
         self.place.end()
-        self._close_editor()
+        if self.editor is not None and not self.editor.points.can_undo:
+            self._close_editor()
+
+    def _widen(self) -> None:
+        """Be as wide as the forms need: they scroll up and down only."""
+        bar = self.align_page.verticalScrollBar().sizeHint().width()
+        self.align_page.setMinimumWidth(self.align_contents.minimumSizeHint().width() + bar)
 
     def close_all(self) -> None:
         """End whatever runs; the plugin is unloaded."""
         self._runner.cancel()
         self.stop()
+        self._close_editor()
+
+
+def _sources(job: Job) -> set[str]:
+    """Return the sources of the rasters that a job reads."""
+    given = job.parameters.values()
+    return {each.source() for each in given if isinstance(each, core.QgsRasterLayer)}

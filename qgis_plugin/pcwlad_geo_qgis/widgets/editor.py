@@ -5,24 +5,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Union
+from typing import Callable
 
 from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui, QtWidgets, sip, uic
 
 from ..help import MODELS, NO_MATCH
-from ..model.results import PointLayer
-from ..process.engine import Engine
+from ..model.results import FrameLayer, PointLayer
 from ..process.points import Points
 from ..text import tr
+from .pair_maps import Pair, PairMaps
 from .points_table import PointsModel, SortedPoints
 from .session import Session
 
+WHICH = ("reference", "target")
 ZOOM_PX = 60
 """Half the side of what is shown around a selected point, target pixels."""
-Pair = Sequence[core.QgsRasterLayer]
-"""The reference and the target."""
-Shape = Union[core.QgsPointXY, core.QgsRectangle]
+
+
+class _PointTool(gui.QgsMapToolEmitPoint):
+    """Takes clicks until Esc."""
+
+    def __init__(self, canvas: gui.QgsMapCanvas, leave: Callable[[], None]) -> None:
+        super().__init__(canvas)
+        self._leave = leave
+
+    def keyPressEvent(self, event: QtGui.QKeyEvent) -> None:
+        if event.key() == QtCore.Qt.Key.Key_Escape:
+            event.accept()
+            QtCore.QTimer.singleShot(0, self._leave)  # which takes this tool away
 
 
 class PointEditor(QtWidgets.QWidget):
@@ -31,9 +42,10 @@ class PointEditor(QtWidgets.QWidget):
     apply = QtCore.pyqtSignal(str, str)
     """A file of points and a model, to register with."""
 
-    def __init__(self, engine: Engine, folder: Path, pair: Pair, canvas: gui.QgsMapCanvas) -> None:
+    def __init__(self, session: Session, folder: Path, pair: Pair, canvas: gui.QgsMapCanvas) -> None:
         super().__init__()
-        self._session, self._folder, self._canvas = Session(engine, folder, self), folder, canvas
+        self._session, self._folder, self._canvas = session, folder, canvas
+        session.setParent(self)
         self._reference, self._target = pair
         self.points = Points.read(folder)
         self.layer = PointLayer(self.points, folder / "tiepoints.gpkg")
@@ -42,6 +54,9 @@ class PointEditor(QtWidgets.QWidget):
         self._clicked: dict[str, core.QgsPointXY] = {}
         self._using: str | None = None
         self._tool_before, self._tools = None, []
+        self.maps = PairMaps(self.points, pair, canvas)
+        shown = self.points, self._target, self.target_place
+        self._frame = FrameLayer(*shown) if self.maps.own_frame else None
         self._build()
         self._session.answered.connect(self._take)
 
@@ -56,8 +71,10 @@ class PointEditor(QtWidgets.QWidget):
         self.table.verticalHeader().hide()
         self.table.verticalHeader().setDefaultSectionSize(22)
         self.table.selectionModel().selectionChanged.connect(self._selected)
-        self.view.setDestinationCrs(self._target.crs())
-        self.view.setLayers([self.layer.layer, self._target])
+        if self._target.crs().isValid():
+            self.view.setDestinationCrs(self._target.crs())
+        self.view.setLayers([(self._frame or self.layer).layer, self._target])
+        self.told.setMinimumHeight(2 * self.told.fontMetrics().lineSpacing())  # the table stays where it is
         self.view.setExtent(self._target.extent())
         self._pan = gui.QgsMapToolPan(self.view)
         self.view.setMapTool(self._pan)
@@ -73,6 +90,7 @@ class PointEditor(QtWidgets.QWidget):
         self.factor.editingFinished.connect(self.scale_arrows)
         for name, action in {
             "undo": self.undo,
+            "redo": self.redo,
             "rectangle": self.draw_rectangle,
             "long": lambda: self.switch(self.points.above(self.limit.value()), False),
             "add": self.start_adding,
@@ -83,6 +101,41 @@ class PointEditor(QtWidgets.QWidget):
             "use": self.use,
         }.items():
             getattr(self, f"{name}_button").clicked.connect(lambda checked, action=action: action())
+        self.table.installEventFilter(self)
+        self.table.setContextMenuPolicy(QtCore.Qt.ContextMenuPolicy.ActionsContextMenu)
+        for title, act in (
+            (tr("Switch on"), lambda: self.switch(self.selected(), True)),
+            (tr("Switch off"), lambda: self.switch(self.selected(), False)),
+            (tr("Delete"), self.delete),
+            (tr("Undo"), self.undo),
+            (tr("Redo"), self.redo),
+        ):
+            entry = QtWidgets.QAction(title, self.table)
+            entry.triggered.connect(lambda checked, act=act: act())
+            self.table.addAction(entry)
+
+    def _key(self, event: QtGui.QKeyEvent) -> Callable[[], None] | None:
+        """Return what a key does in the table; None for the table's own."""
+        key, control = event.key(), event.modifiers() & QtCore.Qt.KeyboardModifier.ControlModifier
+        shifted = bool(event.modifiers() & QtCore.Qt.KeyboardModifier.ShiftModifier)
+        if control:
+            return {QtCore.Qt.Key.Key_Z: self.redo if shifted else self.undo}.get(key)
+        keys = {
+            QtCore.Qt.Key.Key_Delete: self.delete,
+            QtCore.Qt.Key.Key_Space: self.toggle,
+            QtCore.Qt.Key.Key_Escape: self.rest,
+        }
+        return keys.get(key)
+
+    def eventFilter(self, watched: QtCore.QObject, event: QtCore.QEvent) -> bool:
+        kinds = QtCore.QEvent.Type.ShortcutOverride, QtCore.QEvent.Type.KeyPress
+        act = self._key(event) if event.type() in kinds else None
+        if act is None:
+            return super().eventFilter(watched, event)
+        event.accept()  # before a shortcut of the window gets it
+        if event.type() == kinds[1]:
+            act()
+        return True
 
     def close_session(self) -> None:
         """End the engine and the tools."""
@@ -90,6 +143,11 @@ class PointEditor(QtWidgets.QWidget):
         self._session.end()
         self._restore_tools()
         sip.delete(self._marks["reference"])
+
+    def rest(self) -> None:
+        """Put away tools and marks of the main map: another page is shown."""
+        self._restore_tools()
+        self._marks["reference"].reset(core.QgsWkbTypes.GeometryType.PolygonGeometry)
 
     def scale_arrows(self) -> None:
         """Draw arrows as much longer as chosen."""
@@ -107,6 +165,15 @@ class PointEditor(QtWidgets.QWidget):
     def undo(self) -> None:
         """Take back the last change."""
         self._changed(self.points.undo())
+
+    def redo(self) -> None:
+        """Make the last change again that was taken back."""
+        self._changed(self.points.redo())
+
+    def toggle(self) -> None:
+        """Switch the selected points off, or on where the first is off."""
+        chosen = self.selected()
+        self.switch(chosen, bool(chosen) and chosen[0] in self.points.off)
 
     def _changed(self, changed: bool, note: str = "") -> None:
         """Refit what was changed; a note stays until the next change."""
@@ -131,6 +198,7 @@ class PointEditor(QtWidgets.QWidget):
 
     def use(self) -> None:
         """Write the points, with their sigmas, and register with them and the chosen model."""
+        self.use_button.setEnabled(False)  # until the run that this begins has ended
         self._using = str(self._folder / "edited.csv")
         self.save(self._using)
 
@@ -156,12 +224,21 @@ class PointEditor(QtWidgets.QWidget):
         self._tell(answer)
         self.layer.refresh(arrows=answer["model"] != self._arrows_of)
         self._arrows_of = answer["model"]
-        QtCore.QTimer.singleShot(0, self.model.refresh)  # the map is drawn meanwhile
+        if self._frame is not None:
+            self._frame.refresh()
+        QtCore.QTimer.singleShot(0, self._refresh_table)  # the map is drawn meanwhile
         fitted = tr("{}: RMSE {:.3f} px at {} check points; {} points are on").format(
             _title(answer["model"]), answer["rmse_px"], answer["checked"], answer["points"]
         )
         self.told.setText("\n".join(filter(None, [self._note, fitted])))
         self.undo_button.setEnabled(self.points.can_undo)
+        self.redo_button.setEnabled(self.points.can_redo)
+
+    def _refresh_table(self) -> None:
+        """Show the points as they are now, the selected one in sight."""
+        self.model.refresh()
+        if len(chosen := self.table.selectionModel().selectedRows()) == 1:
+            self.table.scrollTo(chosen[0])
 
     def _take_model(self, answer: dict[str, object]) -> None:
         if answer["number"] == self._number:
@@ -195,6 +272,9 @@ class PointEditor(QtWidgets.QWidget):
 
     def _take_error(self, answer: dict[str, object]) -> None:
         self._say(str(answer["message"]))
+        if self._using is not None:
+            self._using = None
+            self.use_button.setEnabled(True)
 
     _take_failed = _take_error
 
@@ -219,36 +299,24 @@ class PointEditor(QtWidgets.QWidget):
         return {"reference": core.QgsPointXY(point.x, point.y), "target": self.target_place(row)}
 
     def target_place(self, row: int) -> core.QgsPointXY:
-        """Return where the target shows a point, as the Georeferencer has it: on its map or (col, -row)."""
-        (col, line), extent = self.points.points[row].target_px, self._target.extent()
-        dx, dy = self._target.rasterUnitsPerPixelX(), self._target.rasterUnitsPerPixelY()
-        return core.QgsPointXY(extent.xMinimum() + col * dx, extent.yMaximum() - line * dy)
-
-    def _crs(self, which: str) -> core.QgsCoordinateReferenceSystem:
-        """Return the CRS of the reference, the target, or what the main map shows (`map`)."""
-        layers = {"reference": self._reference, "target": self._target}
-        return layers[which].crs() if which in layers else self._canvas.mapSettings().destinationCrs()
-
-    def _moved(self, shape: Shape, come: str, go: str) -> Shape:
-        """Return a point or a box in another CRS."""
-        transform = core.QgsCoordinateTransform(self._crs(come), self._crs(go), core.QgsProject.instance())
-        box = isinstance(shape, core.QgsRectangle)
-        return transform.transformBoundingBox(shape) if box else transform.transform(shape)
+        """Return where the target's own map shows a point."""
+        return self.maps.target_place(row)
 
     def _follow(self) -> None:
         """Show on the small map what the main map shows."""
         with suppress(core.QgsCsException):
-            self.view.setExtent(self._moved(self._canvas.extent(), "map", "target"))
+            self.view.setExtent(self.maps.moved(self._canvas.extent(), "map", "target"))
             self.view.refresh()
 
     def _zoom(self, which: str, place: core.QgsPointXY) -> None:
         """Show a place on its map, and the radius within which a point is refined there."""
         canvas, crs = (self._canvas, "map") if which == "reference" else (self.view, "target")
-        unit = max(self._target.rasterUnitsPerPixelX(), self._reference.rasterUnitsPerPixelX())
-        here = core.QgsGeometry.fromPointXY(place)
+        unit, here = self.maps.unit(which), core.QgsGeometry.fromPointXY(place)
         with suppress(core.QgsCsException):
-            canvas.setExtent(self._moved(here.boundingBox().buffered(ZOOM_PX * unit), which, crs))
-            self._marks[which].setToGeometry(here.buffer(self.radius.value() * unit, 16), self._crs(which))
+            canvas.setExtent(self.maps.moved(here.boundingBox().buffered(ZOOM_PX * unit), which, crs))
+            self._marks[which].setToGeometry(
+                here.buffer(self.radius.value() * unit, 16), self.maps.crs(which)
+            )
         canvas.refresh()
 
     def draw_rectangle(self) -> None:
@@ -261,17 +329,18 @@ class PointEditor(QtWidgets.QWidget):
         self._restore_tools()
         if drawn.isEmpty():
             return
-        box = self._moved(drawn, "map", "reference")
+        box = self.maps.moved(drawn, "map", "reference")
         inside = [row for row, each in enumerate(self.points.points) if box.contains(each.x, each.y)]
         self.switch([row for row in inside if row not in self.points.gone], False)
 
     def start_picking(self) -> None:
         """Take a click on a point of either map, and select its row."""
         maps = (self._canvas, self.view)
-        tools = [gui.QgsMapToolIdentifyFeature(canvas, self.layer.layer) for canvas in maps]
-        for tool in tools:
+        layers = (self.layer, self._frame or self.layer)
+        tools = [gui.QgsMapToolIdentifyFeature(canvas, of.layer) for canvas, of in zip(maps, layers)]
+        for tool, of in zip(tools, layers):
             picked = tool.featureIdentified[core.QgsFeature]
-            picked.connect(lambda feature: self.select(self.layer.index_of(feature.id())))
+            picked.connect(lambda feature, of=of: self.select(of.index_of(feature.id())))
         self._take_tool(*tools)
 
     def select(self, point: int) -> None:
@@ -296,14 +365,14 @@ class PointEditor(QtWidgets.QWidget):
 
     def _click(self, text: str) -> None:
         self._say(text)
-        self._take_tool(gui.QgsMapToolEmitPoint(self._canvas), gui.QgsMapToolEmitPoint(self.view))
+        self._take_tool(_PointTool(self._canvas, self.rest), _PointTool(self.view, self.rest))
         self._tools[0].canvasClicked.connect(lambda place, button: self.click_reference(place))
         self._tools[1].canvasClicked.connect(lambda place, button: self.click_target(place))
 
     def click_reference(self, place: core.QgsPointXY) -> None:
         """Take a click on the main map."""
         with suppress(core.QgsCsException):
-            self._clicked_on("reference", "target", self._moved(place, "map", "reference"))
+            self._clicked_on("reference", "target", self.maps.moved(place, "map", "reference"))
 
     def click_target(self, place: core.QgsPointXY) -> None:
         """Take a click on the small map."""
@@ -314,13 +383,15 @@ class PointEditor(QtWidgets.QWidget):
         self._clicked[which] = place
         with suppress(core.QgsCsException):
             self._zoom(which, place)
-            self._zoom(other, self._clicked.get(other) or self._moved(place, which, other))
+            self._zoom(other, self._clicked.get(other) or self.maps.moved(place, which, other))
         if len(self._clicked) < 2:
+            self._say(tr("Now click the same place on the other map."))
             return
         self._restore_tools()
         self._say(tr("The engine refines the point…"))
         gone = sorted(self.points.gone | ({self._moving} - {None}))
-        places = {f"{name}_xy": [each.x(), each.y()] for name, each in self._clicked.items()}
+        reference, target = (self._clicked[name] for name in WHICH)
+        places = {"reference_xy": [reference.x(), reference.y()], "target_px": self.maps.target_px(target)}
         self._session.ask("add", **places, radius_px=self.radius.value(), gone=gone)
 
     def _take_tool(self, tool: object, small: object = None) -> None:

@@ -115,8 +115,6 @@ class PlacePage(QtWidgets.QWidget):
     def set_running(self, running: bool) -> None:
         """Offer what can be done while the engine works, or while it does not."""
         self.snap_button.setDisabled(running)
-        for each in (self.cancel_button, self.progress):
-            each.setVisible(running)
 
     def _swap(self, way: Callable[[Placement], bool]) -> None:
         self.tool.give_up()

@@ -45,7 +45,9 @@ class PointsModel(QAbstractTableModel):
             return Qt.CheckState.Unchecked if row in self._points.off else Qt.CheckState.Checked
         value = self.value(row, column)
         if role == Qt.ItemDataRole.DisplayRole and column:
-            return f"{value:.{3 if column > 5 else 1}f}" if isinstance(value, float) else value
+            if not isinstance(value, float):
+                return value
+            return "–" if math.isnan(value) else f"{value:.{3 if column > 5 else 1}f}"
         if role == Qt.ItemDataRole.UserRole:  # for sorting
             return -math.inf if isinstance(value, float) and math.isnan(value) else value
         if role == Qt.ItemDataRole.TextAlignmentRole and isinstance(value, float):

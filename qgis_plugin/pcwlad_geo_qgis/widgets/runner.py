@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Callable
 
 from qgis import core
+from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QObject, pyqtSignal
 
 from ..text import tr
@@ -30,58 +31,80 @@ class Job:
         return core.QgsApplication.processingRegistry().createAlgorithmById(self.algorithm)
 
 
+@dataclass(eq=False)
+class _Run:
+    """A job that runs; QGIS uses context and feedback until it has deleted the task, and owns neither."""
+
+    job: Job
+    context: core.QgsProcessingContext
+    feedback: _Feedback
+    task: core.QgsTask | None = None
+
+
 class Runner(QObject):
     """Runs jobs one after the other; one that fails does not keep the others from it."""
 
     stage = pyqtSignal(str)
     progress = pyqtSignal(int)
-    failed = pyqtSignal(str, str)
-    """What the job works on, and why it has failed."""
+    failed = pyqtSignal(object, str)
+    """The job, and why it has failed."""
     ended = pyqtSignal(bool)
     """Whether it was cancelled."""
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
         self._jobs: list[Job] = []
-        self._task: core.QgsTask | None = None
+        self._runs: list[_Run] = []
+        self._count = 0
         self._cancelled = False
+        self.running = False
 
-    def begin(self, jobs: list[Job]) -> None:
-        """Run the jobs."""
-        self._jobs, self._cancelled = jobs, False
+    def begin(self, jobs: list[Job]) -> bool:
+        """Run the jobs and return whether they have begun: while others run, they do not."""
+        if self.running:
+            return False
+        self._jobs, self._count, self._cancelled, self.running = list(jobs), len(jobs), False, True
         self._next()
+        return True
 
     def cancel(self) -> None:
         """End the work; nothing is left of the job that runs."""
-        if self._task is not None:
+        if self.running:
             self._jobs, self._cancelled = [], True
-            self._feedback.cancel()
-            self._task.cancel()
+            self._runs[-1].feedback.cancel()
+            self._runs[-1].task.cancel()
 
     def _next(self) -> None:
         """Run the next job."""
         if not self._jobs:
-            self._task = None
+            self.running = False
             self.ended.emit(self._cancelled)
             return
-        job, self._feedback, self._context = self._jobs.pop(0), _Feedback(), project_context()
-        self._feedback.told.connect(self.stage)
-        self._feedback.progressChanged.connect(lambda value: self.progress.emit(int(value)))
-        task = core.QgsProcessingAlgRunnerTask(job.made(), job.parameters, self._context, self._feedback)
-        self._task = task
-        task.executed.connect(lambda successful, results: self._done(job, successful, results))
-        if task.isCanceled():  # it could not be prepared, and will never say so
-            self._done(job, False, {})
+        run = _Run(self._jobs.pop(0), project_context(), _Feedback())
+        self._runs = [each for each in self._runs if not sip.isdeleted(each.task)] + [run]
+        which = tr("{} of {}").format(self._count - len(self._jobs), self._count) if self._count > 1 else ""
+        head = " · ".join(filter(None, [which, run.job.name]))
+        run.feedback.told.connect(lambda stage: self.stage.emit(f"{head}: {stage}" if head else stage))
+        run.feedback.progressChanged.connect(lambda value: self.progress.emit(int(value)))
+        made = run.job.made(), run.job.parameters, run.context, run.feedback
+        run.task = core.QgsProcessingAlgRunnerTask(*made)
+        run.task.executed.connect(lambda successful, results: self._done(run, successful, results))
+        if run.task.isCanceled():  # it could not be prepared, and will never say so
+            self._done(run, False, {}, prepared=False)
         else:
-            core.QgsApplication.taskManager().addTask(task)
+            core.QgsApplication.taskManager().addTask(run.task)
 
-    def _done(self, job: Job, successful: bool, results: dict[str, Any]) -> None:
-        feedback = self._feedback
-        if successful and results:
-            job.take(job, {**results, "WARNINGS": feedback.warnings})
-        elif not self._cancelled:  # the feedback of what could not be prepared says that it was
-            self.failed.emit(job.name, (feedback.errors or [tr("The engine did not finish.")])[-1])
-        self._next()
+    def _done(self, run: _Run, successful: bool, results: dict[str, Any], prepared: bool = True) -> None:
+        if prepared and run.feedback.isCanceled():  # perhaps by the window's own list of tasks
+            self._jobs, self._cancelled = [], True
+        try:
+            if successful and results:
+                run.job.take(run.job, {**results, "WARNINGS": run.feedback.warnings})
+            elif not self._cancelled:
+                why = run.feedback.errors or [tr("The engine did not finish.")]
+                self.failed.emit(run.job, why[-1])
+        finally:
+            self._next()
 
 
 class _Feedback(core.QgsProcessingFeedback):

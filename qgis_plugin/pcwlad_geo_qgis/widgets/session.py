@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from qgis.PyQt.QtCore import QObject, QProcess, QProcessEnvironment, pyqtSignal
+from qgis.PyQt.QtCore import QProcess, QProcessEnvironment, pyqtSignal
 
 from ..process.advice import for_dialog
 from ..process.engine import Engine
@@ -20,8 +21,8 @@ class Session(QProcess):
     answered = pyqtSignal(dict)
     """What the engine says; the last one is the event `ended`."""
 
-    def __init__(self, engine: Engine, folder: Path, parent: QObject) -> None:
-        super().__init__(parent)
+    def __init__(self, engine: Engine, folder: Path, options: Sequence[str]) -> None:
+        super().__init__()
         environment = QProcessEnvironment()
         for name, value in engine.environment().items():
             environment.insert(name, value)
@@ -30,7 +31,7 @@ class Session(QProcess):
         self.setStandardErrorFile(QProcess.nullDevice())
         self.readyReadStandardOutput.connect(self._hear)
         self.stateChanged.connect(self._told)
-        self.start(engine.command[0], [*engine.command[1:], "edit", str(folder)])
+        self.start(engine.command[0], [*engine.command[1:], "edit", str(folder), *options])
 
     def ask(self, what: str, **values: object) -> None:
         """Send a request; an engine that has ended says so among its answers."""

@@ -1,0 +1,265 @@
+"""What people do who press twice, in the wrong order, or midway: ``qgis --code hands.py``.
+
+WINDOW_JOB names a JSON file: `reference`, `target`, `noise` (of the reference's place), `photo` (a part
+of the reference, turned, without a place), `package` (the target in a GeoPackage), `points` (of the
+Georeferencer), `empty` (an index without packages), and `folder`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from qgis.core import QgsPointXY, QgsProject, QgsRasterLayer, QgsRectangle
+from qgis.PyQt.QtCore import QPoint, Qt
+from qgis.PyQt.QtTest import QTest
+from qgis.PyQt.QtWidgets import QDockWidget, QWidget
+from qgis.utils import iface, plugins
+from steps import FOLDER, JOB, go, grab, seen
+
+PROJECT = QgsProject.instance()
+
+
+def steps() -> Iterator[int]:
+    """Do one thing after the other; yield how many milliseconds to wait."""
+    window = iface.mainWindow()
+    for name in ("Browser", "ProcessingToolbox"):
+        window.findChild(QDockWidget, name).close()
+    window.resize(1024, 740)
+    seen["alone"] = window.minimumSizeHint().width()
+    layers = add("reference", "target")
+    iface.setActiveLayer(layers[1])
+    plugin = plugins["pcwlad_geo_qgis"]
+    yield from first_look(plugin)
+    dock = plugin.dock
+    yield from small_window(dock, window)
+    yield from twice(dock, window)
+    yield from refused(dock)
+    yield from unplaced(dock)
+    yield from trusted(dock)
+    yield from closing(dock)
+    dock.close_all()
+
+
+def add(*names: str) -> list[QgsRasterLayer]:
+    """Add rasters of the job to the project."""
+    layers = [QgsRasterLayer(JOB[name], name) for name in names]
+    PROJECT.addMapLayers(layers)
+    return layers
+
+
+def click(button: QWidget) -> None:
+    QTest.mouseClick(button, Qt.MouseButton.LeftButton)
+
+
+def wait(dock: Any) -> Iterator[int]:
+    """Wait for the end of the work."""
+    yield 500
+    while dock._runner.running:
+        yield 100
+    yield 500
+
+
+def ready(dock: Any) -> Iterator[int]:
+    """Wait until points can be edited, or until the engine has said why not."""
+    while not dock.editor.isEnabled() and "starting" in dock.editor.told.text():
+        yield 100
+    yield 500
+
+
+def shown(dock: Any) -> dict[str, bool]:
+    """Return which parts of the dock can be seen and used."""
+    names = ("run_box", "verdict_area", "apply_box", "given_button", "trust_button", "engine_box", "next_box")
+    return {name: getattr(dock, name).isVisible() for name in names}
+
+
+def first_look(plugin: Any) -> Iterator[int]:
+    """Open the dock where there is no engine."""
+    engine = os.environ.pop("PCWLAD_GEO_PYTHON")
+    path, os.environ["PATH"] = os.environ["PATH"], "/usr/bin:/bin"
+    plugin.action.trigger()
+    yield 1000
+    dock = plugin.dock
+    seen["no engine"] = [dock.verdict.text(), dock.engine_box.isVisible()]
+    seen["width"] = [dock.width(), dock.align_page.horizontalScrollBar().isVisible()]
+    seen["fits"] = dock.align_page.viewport().width() - dock.align_contents.minimumSizeHint().width()
+    seen["focus"] = dock.start_button.hasFocus() or not iface.mainWindow().isActiveWindow()
+    seen["toolbar"] = [bar.objectName() for bar in plugin.action.associatedWidgets() if bar.isVisible()]
+    grab(iface.mainWindow(), "no_engine_1024")
+    os.environ.update(PIP_NO_INDEX="1", PIP_FIND_LINKS=JOB["empty"])
+    click(dock.index_button)
+    yield from wait(dock)
+    seen["no index"] = dock.verdict.text()
+    grab(dock, "no_index")
+    os.environ.update(PCWLAD_GEO_PYTHON=engine, PATH=path)
+    plugin.action.trigger()
+
+
+def small_window(dock: Any, window: QWidget) -> Iterator[int]:
+    """Look at every page in a window of 1024 x 740."""
+    yield 500
+    dock.advanced.setCollapsed(False)
+    yield 500
+    seen["advanced fits"] = dock.align_page.viewport().width() - dock.align_contents.minimumSizeHint().width()
+    grab(window, "advanced_1024")
+    dock.advanced.setCollapsed(True)
+    seen["idle"] = shown(dock)
+    seen["window"] = [window.minimumSizeHint().width()]
+
+
+def twice(dock: Any, window: QWidget) -> Iterator[int]:
+    """Align; press “Align with these” twice, while it runs, and “Align” meanwhile."""
+    click(dock.start_button)
+    yield 300
+    seen["running"] = [shown(dock)["run_box"], dock.start_button.isEnabled(), dock.cancel_button.isEnabled()]
+    dock.start()
+    yield from wait(dock)
+    seen["aligned"] = dock.verdict.text()
+    grab(window, "aligned_1024")
+    dock.tabs.setCurrentIndex(1)
+    editor = dock.editor
+    yield from ready(dock)
+    yield 1500
+    seen["window"].append(window.minimumSizeHint().width())
+    grab(window, "points_1024")
+    seen["told"] = []
+    QTest.mouseDClick(editor.use_button, Qt.MouseButton.LeftButton)
+    click(editor.use_button)
+    yield 200
+    editor.use()
+    for _ in range(5):
+        yield 300
+        seen["told"].append([shown(dock)["run_box"], editor.use_button.isEnabled(), dock.stage.text()])
+        dock.start()
+    grab(window, "again_1024")
+    yield from wait(dock)
+    yield from ready(dock)
+    seen["again"] = [dock.verdict.text(), shown(dock)["verdict_area"], dock.editor.use_button.isEnabled()]
+    root = PROJECT.layerTreeRoot()
+    seen["groups"] = [[group.name(), group.itemVisibilityChecked()] for group in root.findGroups()]
+    seen["folders"] = sorted(each.name for each in Path(JOB["target"]).parent.iterdir() if each.is_dir())
+    dock.start()  # from the other page
+    yield 800
+    dock.editor.use()
+    yield from wait(dock)
+    seen["third"] = dock.verdict.text()
+
+
+def refused(dock: Any) -> Iterator[int]:
+    """Align what cannot be aligned, after a pair that could."""
+    seen["before the refusal"] = shown(dock)
+    (noise,) = add("noise")
+    dock.tabs.setCurrentIndex(0)
+    dock.target.setLayer(noise)
+    click(dock.start_button)
+    yield from wait(dock)
+    seen["refused"] = [dock.verdict.text(), shown(dock)]
+    grab(iface.mainWindow(), "refused_1024")
+    dock.align_by(JOB["points"])
+    yield from wait(dock)
+    seen["by points"] = dock.verdict.text()
+
+
+def unplaced(dock: Any) -> Iterator[int]:
+    """Align what has no place, and look at its points."""
+    (layer,) = add("photo")
+    dock.tabs.setCurrentIndex(0)
+    dock.target.setLayer(layer)
+    click(dock.start_button)
+    yield from wait(dock)
+    seen["unplaced"] = dock.verdict.text()
+    seen["alpha"] = dock.layers["after"].renderer().alphaBand()
+    grab(iface.mainWindow(), "unplaced")
+    dock.tabs.setCurrentIndex(1)
+    editor = dock.editor
+    yield from ready(dock)
+    yield 2000
+    canvas = iface.mapCanvas()
+    editor.select(5)
+    yield 1500
+    point = editor.points.points[5]
+    col, row = point.target_px
+    seen["photo"] = [editor.view.extent().contains(QgsPointXY(col, -row)), editor.view.extent().width()]
+    editor.start_picking()
+    other = editor.target_place(7)
+    editor.view.setExtent(QgsRectangle.fromCenterAndSize(other, 40, 40))
+    editor.view.refresh()
+    yield 1000
+    pick(editor.view, other)
+    yield 500
+    picked = editor.points.points[editor.selected()[0]].target_px
+    seen["picked in the photo"] = math.dist(picked, editor.points.points[7].target_px)
+    grab(iface.mainWindow(), "photo_points")
+    canvas.setExtent(QgsRectangle.fromCenterAndSize(QgsPointXY(point.x, point.y), 1500, 1500))
+    canvas.refresh()
+    yield 1000
+    seen["followed"] = editor.view.extent().center().distance(QgsPointXY(col, -row))
+    editor.delete_button.click()
+    yield 1500
+    editor.undo()
+    count = len(editor.points.points)
+    editor.points._change(editor.points.off, editor.points.gone | {5})
+    editor.start_adding()
+    editor.click_reference(QgsPointXY(point.x, point.y))
+    editor.click_target(QgsPointXY(col, -row))
+    for _ in range(100):
+        if len(editor.points.points) > count or "…" not in editor.told.text():
+            break
+        yield 100
+    yield 1500
+    added = editor.points.points[-1]
+    seen["added"] = [
+        len(editor.points.points) - count,
+        math.dist(added.target_px, (col, row)),
+        editor.told.text(),
+    ]
+
+
+def pick(canvas: Any, place: QgsPointXY) -> None:
+    """Click a place on a map."""
+    at = canvas.getCoordinateTransform().transform(place)
+    pixel = QPoint(round(at.x()), round(at.y()))
+    QTest.mouseClick(canvas.viewport(), Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, pixel)
+
+
+def trusted(dock: Any) -> Iterator[int]:
+    """Align a layer of a GeoPackage: asked once."""
+    (layer,) = add("package")
+    dock.tabs.setCurrentIndex(0)
+    dock.target.setLayer(layer)
+    click(dock.start_button)
+    yield from wait(dock)
+    seen["package"] = [dock.verdict.text(), shown(dock)]
+    grab(dock, "package")
+    click(dock.trust_button)
+    yield from wait(dock)
+    seen["trusted"] = [dock.verdict.text(), shown(dock)]
+    click(dock.start_button)
+    yield from wait(dock)
+    seen["trusted again"] = dock.verdict.text()
+    yield from ready(dock)
+    seen["edits the trusted"] = dock.editor.isEnabled()
+
+
+def closing(dock: Any) -> Iterator[int]:
+    """Close the dock with edits and without; save the project; begin another."""
+    editor = dock.editor
+    yield from ready(dock)
+    editor.switch([3], False)
+    yield 500
+    dock.close()
+    yield 300
+    dock.show()
+    seen["edits"] = [dock.editor is editor, 3 in editor.points.off]
+    place = FOLDER / "saved.qgs"
+    PROJECT.write(str(place))
+    seen["saved"] = "Tie points being edited" in place.read_text(encoding="utf-8")
+    PROJECT.clear()
+    yield 500
+    seen["new project"] = [dock.verdict.text(), dock.editor is None, shown(dock), dock.layers == {}]
+
+
+go(steps)

@@ -1,0 +1,159 @@
+"""The dock under hands that press twice, in the wrong order and midway."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from osgeo import gdal
+from test_window import run_in_window
+
+TURN_DEG = 25.0
+
+
+def noise(place: Path, like: Path) -> Path:
+    """Write noise in the place of a raster, and return its path."""
+    gdal.Translate(str(place), str(like))
+    made = gdal.Open(str(place), gdal.GA_Update)
+    shape = made.RasterYSize, made.RasterXSize
+    made.GetRasterBand(1).WriteArray(np.random.default_rng(1).integers(1, 9000, shape))
+    return place
+
+
+def photo(place: Path, raster: Path, side: int = 300) -> Path:
+    """Write the middle of a raster, turned, with three bands and without a place, and return its path."""
+    data = gdal.Open(str(raster))
+    left, pixel, _, top, _, _ = data.GetGeoTransform()
+    cos, sin = (pixel * each(math.radians(TURN_DEG)) for each in (math.cos, math.sin))
+    made = gdal.GetDriverByName("MEM").Create("", side, side, 1, gdal.GDT_Float32)
+    corner = [left + pixel * data.RasterXSize / 2, top - pixel * data.RasterYSize / 2]
+    corner = [corner[0] - side / 2 * (cos + sin), corner[1] - side / 2 * (sin - cos)]
+    made.SetGeoTransform((corner[0], cos, sin, corner[1], sin, -cos))
+    made.SetProjection(data.GetProjection())
+    gdal.ReprojectImage(data, made, None, None, gdal.GRA_Cubic)
+    values = made.ReadAsArray()
+    low, high = np.percentile(values, (1, 99))
+    values = np.clip((values - low) / (high - low) * 254 + 1, 1, 255).astype(np.uint8)
+    copy = gdal.GetDriverByName("MEM").Create("", side, side, 3)
+    for band in (1, 2, 3):
+        copy.GetRasterBand(band).WriteArray(values)
+    gdal.GetDriverByName("PNG").CreateCopy(str(place), copy)
+    return place
+
+
+def points(place: Path, raster: Path, off_px: tuple[float, float] = (1.2, -0.7)) -> Path:
+    """Write twelve points of the Georeferencer for a raster and return the path."""
+    left, pixel, _, top, _, _ = gdal.Open(str(raster)).GetGeoTransform()
+    lines = ["mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"]
+    for col in (30, 110, 190, 270):
+        for row in (40, 150, 260):
+            x, y = left + col * pixel, top - row * pixel
+            lines.append(f"{x},{y},{x + off_px[0] * pixel},{y - off_px[1] * pixel},1,0,0,0")
+    place.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return place
+
+
+@pytest.fixture(scope="module")
+def seen(profile: Path, part: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Do it in the window, and return what was seen."""
+    folder = tmp_path_factory.mktemp("hands")
+    places = {name: str(folder / f"{name}.tif") for name in ("reference", "target")}
+    for path, place in zip(part, places.values()):
+        shutil.copy(path, place)
+    (folder / "empty").mkdir()
+    places["empty"] = str(folder / "empty")
+    places["noise"] = str(noise(folder / "noise.tif", part[0]))
+    places["points"] = str(points(folder / "by_hand.points", part[0]))
+    places["photo"] = str(photo(folder / "photo.png", part[0]))
+    places["package"] = str(folder / "package.gpkg")
+    options = {"format": "GPKG", "outputType": gdal.GDT_Byte, "scaleParams": [[]]}
+    gdal.Translate(places["package"], places["target"], **options)
+    return run_in_window("hands.py", profile, folder, places)
+
+
+def test_no_slot_raises_and_nothing_asks(seen: dict[str, Any]) -> None:
+    assert seen["errors"] == []
+    assert seen["modal"] == []
+
+
+def test_without_an_engine_the_dock_says_so_when_it_opens_and_blames_nobody(seen: dict[str, Any]) -> None:
+    text, offered = seen["no engine"]
+    assert text.startswith("<b>No pcwlad-geo engine was found.")
+    assert offered is True
+    assert "✖" not in text
+    assert "The package index has no pcwlad-geo:</b> choose “From a wheel…”" in seen["no index"]
+    bold = seen["no index"].partition("</b>")[0]
+    assert "pip" not in bold
+    assert len(bold) < 150
+
+
+def test_the_dock_is_as_wide_as_its_forms_and_no_wider_than_a_small_screen(seen: dict[str, Any]) -> None:
+    assert seen["width"][1] is False
+    assert seen["fits"] >= 0
+    assert seen["advanced fits"] >= 0
+    assert seen["width"][0] <= 420
+    assert max(seen["window"]) <= 1024
+    assert seen["focus"] is True
+    assert seen["toolbar"] != []
+
+
+def test_one_run_at_a_time_whatever_is_pressed(seen: dict[str, Any]) -> None:
+    assert seen["idle"]["run_box"] is False
+    assert seen["running"] == [True, False, True]
+    assert "The layers fit" in seen["aligned"]
+    assert [told[:2] for told in seen["told"]] == [[True, False]] * len(seen["told"])
+    assert any(stage for *_, stage in seen["told"])
+    assert seen["again"][0].count("The layers fit") == 1
+    assert seen["again"][1:] == [True, True]
+    assert seen["folders"] == ["empty", "target_aligned", "target_aligned_2"]
+    assert seen["groups"] == [["target aligned 2", True], ["target aligned", False]]
+    assert seen["third"].count("The layers fit") == 1
+
+
+def test_after_a_refusal_no_earlier_correction_is_offered_but_points_of_a_file(seen: dict[str, Any]) -> None:
+    assert seen["before the refusal"]["given_button"] is False
+    text, parts = seen["refused"]
+    assert "The pair was refused, and nothing was corrected:</b>" in text
+    assert parts["apply_box"] is False
+    assert parts["given_button"] is True
+    assert "The layers fit" in seen["by points"]
+
+
+def test_a_target_without_a_place_is_shown_in_its_own_frame_with_its_points(seen: dict[str, Any]) -> None:
+    assert "The layers fit well" in seen["unplaced"]
+    assert seen["photo"][0] is True
+    assert 40 < seen["photo"][1] < 700
+    assert seen["picked in the photo"] < 6
+    assert seen["followed"] < 3
+    count, off_px, told = seen["added"]
+    assert count == 1, told
+    assert off_px < 0.5  # refined or not
+
+
+def test_a_mask_of_the_result_stays_transparent(seen: dict[str, Any]) -> None:
+    assert seen["alpha"] == 4
+
+
+def test_files_that_name_others_are_asked_about_once(seen: dict[str, Any]) -> None:
+    text, parts = seen["package"]
+    assert text.startswith("<b>package:</b> ")
+    assert "--" not in text
+    assert parts["trust_button"] is True
+    assert "The layers fit" in seen["trusted"][0]
+    assert seen["trusted"][1]["trust_button"] is False
+    assert "The layers fit" in seen["trusted again"]
+    assert seen["edits the trusted"] is True
+
+
+def test_edits_outlive_a_closed_dock_and_nothing_outlives_the_project(seen: dict[str, Any]) -> None:
+    assert seen["edits"] == [True, True]
+    assert seen["saved"] is False
+    text, closed, parts, forgotten = seen["new project"]
+    assert text == ""
+    assert closed is True
+    assert forgotten is True
+    assert not any(parts.values())
