@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from qgis.core import QgsPointXY, QgsProject, QgsRasterLayer, QgsRectangle
+import processing
+from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRasterLayer, QgsRectangle
 from qgis.PyQt.QtCore import QPoint, Qt
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QDockWidget, QWidget
+from qgis.PyQt.QtWidgets import QDockWidget, QScrollArea, QWidget
 from qgis.utils import iface, plugins
 from steps import FOLDER, JOB, go, grab, seen
 
@@ -40,7 +42,10 @@ def steps() -> Iterator[int]:
     yield from refused(dock)
     yield from unplaced(dock)
     yield from trusted(dock)
+    yield from opened(dock)
     yield from closing(dock)
+    yield from dialogs()
+    yield from themes(dock)
     dock.close_all()
 
 
@@ -112,8 +117,13 @@ def small_window(dock: Any, window: QWidget) -> Iterator[int]:
 
 def twice(dock: Any, window: QWidget) -> Iterator[int]:
     """Align; press “Align with these” twice, while it runs, and “Align” meanwhile."""
+    dock.choices.set(
+        "MORE", [each.id() for each in (dock.reference.currentLayer(), dock.target.currentLayer())]
+    )
     click(dock.start_button)
+    seen["more"] = dock.choices.layers("MORE")
     yield 300
+    seen["tasks"] = [each.description() for each in QgsApplication.taskManager().tasks()]
     seen["running"] = [shown(dock)["run_box"], dock.start_button.isEnabled(), dock.cancel_button.isEnabled()]
     dock.start()
     yield from wait(dock)
@@ -125,6 +135,12 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     yield 1500
     seen["window"].append(window.minimumSizeHint().width())
     grab(window, "points_1024")
+    yield from keys(editor)
+    dock.tabs.setCurrentIndex(2)
+    dock.blink_button.setChecked(True)
+    dock.swipe_button.setChecked(True)
+    dock.tabs.setCurrentIndex(1)
+    seen["still compares"] = [dock.blink_button.isChecked(), dock.swipe_button.isChecked()]
     seen["told"] = []
     QTest.mouseDClick(editor.use_button, Qt.MouseButton.LeftButton)
     click(editor.use_button)
@@ -146,6 +162,36 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     dock.editor.use()
     yield from wait(dock)
     seen["third"] = dock.verdict.text()
+
+
+def keys(editor: Any) -> Iterator[int]:
+    """Use the keys of the table, and leave adding by Esc."""
+    control, shift = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
+    editor.select(4)
+    editor.table.setFocus()
+    seen["keys"] = []
+    for key, held in (
+        (Qt.Key.Key_Space, Qt.KeyboardModifier.NoModifier),
+        (Qt.Key.Key_Space, Qt.KeyboardModifier.NoModifier),
+        (Qt.Key.Key_Delete, Qt.KeyboardModifier.NoModifier),
+        (Qt.Key.Key_Z, control),
+        (Qt.Key.Key_Z, control | shift),
+        (Qt.Key.Key_Z, control),
+    ):
+        editor.select(4)
+        QTest.keyClick(editor.table, key, held)
+        yield 300
+        seen["keys"].append([4 in editor.points.off, 4 in editor.points.gone])
+    while editor.points.can_undo:
+        editor.undo()
+    yield 500
+    editor.add_button.click()
+    tool = iface.mapCanvas().mapTool()
+    QTest.keyClick(iface.mapCanvas(), Qt.Key.Key_Escape)
+    yield 300
+    ring = editor._marks["reference"].asGeometry().isEmpty()
+    seen["esc"] = [iface.mapCanvas().mapTool() != tool, ring]
+    seen["menu"] = len(editor.table.actions())
 
 
 def refused(dock: Any) -> Iterator[int]:
@@ -242,6 +288,45 @@ def trusted(dock: Any) -> Iterator[int]:
     seen["trusted again"] = dock.verdict.text()
     yield from ready(dock)
     seen["edits the trusted"] = dock.editor.isEnabled()
+
+
+def dialogs() -> Iterator[int]:
+    """Look whether the dialogs of the toolbox show their parameters without a scroll to the right."""
+    seen["clipped"] = {}
+    for name in ("register", "qa", "stack", "installengine", "watch", "rig"):
+        dialog = processing.createAlgorithmDialog(f"pcwlad_geo:{name}", {})
+        dialog.show()
+        yield 500
+        bars = [area.horizontalScrollBar() for area in dialog.findChildren(QScrollArea) if area.isVisible()]
+        seen["clipped"][name] = max(bar.maximum() for bar in bars)
+        grab(dialog, f"dialog_{name}")
+        dialog.close()
+
+
+def opened(dock: Any) -> Iterator[int]:
+    """Open a registration whose layers are in the project: nothing comes twice."""
+    count, groups = len(PROJECT.mapLayers()), len(PROJECT.layerTreeRoot().findGroups())
+    dock.open_earlier(str(dock._folder))
+    yield 500
+    seen["opened"] = [len(PROJECT.mapLayers()) - count, len(PROJECT.layerTreeRoot().findGroups()) - groups]
+    rules = dock.layers["displacements"].renderer().rootRule().children()
+    seen["legends"] = [dock.layers["tie_points"].renderer().type(), [each.label() for each in rules]]
+
+
+def themes(dock: Any) -> Iterator[int]:
+    """Look at verdicts on a light and on a dark window."""
+    seen["themes"] = {}
+    for theme in ("default", "Night Mapping"):
+        QgsApplication.setUITheme(theme)
+        yield 1000
+        dock.footer.clear()
+        for grade in ("good", "fair", "poor", "refused"):
+            dock.footer.tell("The layers fit: 90 %", grade=grade)
+        yield 500
+        corner = dock.verdict.mapTo(dock, QPoint(dock.verdict.width() - 3, 3))
+        ground = dock.grab().toImage().pixelColor(corner).name()
+        seen["themes"][theme] = [ground, re.findall(r"color: (#\w+)", dock.verdict.text())]
+        grab(dock, f"theme_{theme[:5]}")
 
 
 def closing(dock: Any) -> Iterator[int]:

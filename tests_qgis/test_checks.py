@@ -9,16 +9,24 @@ from typing import Any
 import pytest
 from osgeo import gdal
 from pcwlad_geo_qgis.algorithms.base import words_of
-from pcwlad_geo_qgis.model.rasters import path_of, problem_of, warning_of
+from pcwlad_geo_qgis.model.rasters import file_behind, path_of, problem_of, warning_of
+from pcwlad_geo_qgis.model.tie_points import translate_legend
+from pcwlad_geo_qgis.text import _Language, speak
 from qgis.core import (
     QgsApplication,
     QgsCoordinateReferenceSystem,
+    QgsDateTimeRange,
     QgsProcessingAlgorithm,
     QgsProcessingContext,
+    QgsProcessingFeedback,
     QgsProcessingOutputLayerDefinition,
     QgsProperty,
     QgsRasterLayer,
+    QgsRuleBasedRenderer,
+    QgsSymbol,
+    QgsVectorLayer,
 )
+from qgis.PyQt.QtCore import QDateTime
 
 ALGORITHMS = ("register", "match", "prove", "apply", "qa", "watch", "checkengine", "installengine")
 
@@ -195,3 +203,81 @@ def test_install_takes_a_wheel_or_a_source_folder_of_this_project(tmp_path: Path
     shutil.copy(Path(__file__).parents[1] / "pyproject.toml", source)
     assert said("installengine", FOLDER=str(source)) == ""
     assert said("installengine", WHEEL=str(wheel)) == ""
+
+
+def test_words_of_a_search_find_the_algorithms() -> None:
+    words = (
+        "align",
+        "georeference",
+        "coregister",
+        "thermal",
+        "tie points",
+        "image matching",
+        "georeferencer",
+    )
+    for word in words:
+        assert any(word in tag for tag in algorithm("register").tags()), word
+    assert all(algorithm(name).tags() for name in ALGORITHMS)
+
+
+def test_an_extent_of_a_layer_without_a_place_is_told_as_such(pair: dict[str, str], tmp_path: Path) -> None:
+    place = str(tmp_path / "photo.png")
+    gdal.Translate(place, pair["INPUT"], format="PNG", outputType=gdal.GDT_Byte, scaleParams=[[]])
+    for beside in tmp_path.glob("photo.png.aux.xml"):
+        beside.unlink()
+    extent = "420000,430000,5260000,5270000 [EPSG:32633]"
+    assert said("register", **{**pair, "INPUT": place}) == ""
+    assert "Leave the extent out" in said("register", **{**pair, "INPUT": place}, EXTENT=extent)
+
+
+def test_results_go_beside_what_holds_a_layer(pair: dict[str, str], tmp_path: Path) -> None:
+    file = Path(pair["INPUT"])
+    for source in ("{}", "/vsizip/{}/inner.tif", 'NETCDF:"{}":band', "GPKG:{}:table", "{}|option:X=1"):
+        assert file_behind(source.format(file)) == file
+    assert file_behind("type=xyz&url=http://localhost/{z}") is None
+
+
+def test_dates_of_a_stack_are_given_or_those_of_its_layers(pair: dict[str, str], tmp_path: Path) -> None:
+    given = {"INPUTS": [*pair.values()], "OUTPUT_FOLDER": str(tmp_path / "stack")}
+    assert said("stack", **given, DATES="2024-05-01; 2024-06-02") == ""
+    assert "May is no date" in said("stack", **given, DATES="2024-05-01; May")
+    assert "1 are given for 2 rasters" in said("stack", **given, DATES="2024-05-01")
+    made = algorithm("stack")
+    context, feedback = QgsProcessingContext(), QgsProcessingFeedback()
+    assert made.prepareAlgorithm({**given, "DATES": "2024-05-01; 2024-06-02"}, context, feedback)
+    (table,) = made._images()
+    lines = Path(table).read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "image,date"
+    assert [line.rpartition(",")[2] for line in lines[1:]] == ["2024-05-01", "2024-06-02"]
+    layers = [layer_from("gdal", path) for path in pair.values()]
+    for layer in layers:
+        layer.temporalProperties().setIsActive(True)
+        layer.temporalProperties().setFixedTemporalRange(
+            QgsDateTimeRange(QDateTime(2024, 7, 3, 0, 0, 0), QDateTime())
+        )
+    assert made.prepareAlgorithm({**given, "INPUTS": layers}, context, feedback)
+    assert [*made._dates] == ["2024-07-03"] * 2
+    assert made.prepareAlgorithm(given, context, feedback)
+    assert made._images() == [*pair.values()]
+
+
+def test_legends_of_the_engine_are_translated() -> None:
+    layer = QgsVectorLayer("LineString?field=status:string", "displacements", "memory")
+    renderer = QgsRuleBasedRenderer(QgsSymbol.defaultSymbol(layer.geometryType()))
+    for label in ("rejected (arrows × 50)", "residual 0.1 to 0.2 px", "of a user"):
+        rule = QgsRuleBasedRenderer.Rule(QgsSymbol.defaultSymbol(layer.geometryType()))
+        rule.setLabel(label)
+        renderer.rootRule().appendChild(rule)
+    layer.setRenderer(renderer)
+    translate, spoken = (
+        _Language.translate,
+        {"rejected": "verworfen", "residual {} to {} px": "Rest {} bis {} px"},
+    )
+    spoken["{} (arrows × {})"] = "{} (Pfeile × {})"
+    speak(lambda text: spoken.get(text, text))
+    try:
+        translate_legend(layer)
+    finally:
+        speak(translate)
+    labels = [rule.label() for rule in layer.renderer().rootRule().children()][-3:]
+    assert labels == ["verworfen (Pfeile × 50)", "Rest 0.1 bis 0.2 px", "of a user"]

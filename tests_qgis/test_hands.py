@@ -103,6 +103,8 @@ def test_the_dock_is_as_wide_as_its_forms_and_no_wider_than_a_small_screen(seen:
 
 def test_one_run_at_a_time_whatever_is_pressed(seen: dict[str, Any]) -> None:
     assert seen["idle"]["run_box"] is False
+    assert seen["more"] == []  # neither the pair itself, nor left for the next run
+    assert seen["tasks"] == ["Executing “Register raster: target”"]
     assert seen["running"] == [True, False, True]
     assert "The layers fit" in seen["aligned"]
     assert [told[:2] for told in seen["told"]] == [[True, False]] * len(seen["told"])
@@ -157,3 +159,53 @@ def test_edits_outlive_a_closed_dock_and_nothing_outlives_the_project(seen: dict
     assert closed is True
     assert forgotten is True
     assert not any(parts.values())
+
+
+def test_keys_and_menu_of_the_table(seen: dict[str, Any]) -> None:
+    assert seen["keys"] == [
+        [True, False],
+        [False, False],
+        [False, True],
+        [False, False],
+        [False, True],
+        [False, False],
+    ]
+    assert seen["esc"] == [True, True]
+    assert seen["menu"] == 5
+
+
+def test_swipe_and_blink_end_with_their_page(seen: dict[str, Any]) -> None:
+    assert seen["still compares"] == [False, False]
+
+
+def test_what_is_shown_already_is_not_shown_twice(seen: dict[str, Any]) -> None:
+    assert seen["opened"] == [0, 0]
+
+
+def test_tie_points_look_as_those_of_the_toolbox(seen: dict[str, Any]) -> None:
+    kind, labels = seen["legends"]
+    assert kind == "categorizedSymbol"
+    assert labels[0].startswith("rejected (arrows × ")
+
+
+def luminance(colour: str) -> float:
+    """Return the relative luminance of a colour (#rrggbb), by WCAG 2."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear))
+
+
+def test_verdicts_are_legible_on_light_and_dark_windows(seen: dict[str, Any]) -> None:
+    grounds = []
+    for ground, colours in seen["themes"].values():
+        assert len(colours) == 4
+        grounds.append(luminance(ground))
+        for colour in colours:
+            high, low = sorted((luminance(colour), luminance(ground)), reverse=True)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, (colour, ground)
+    assert grounds[0] > 0.6
+    assert grounds[1] < 0.1
+
+
+def test_dialogs_are_not_clipped(seen: dict[str, Any]) -> None:
+    assert seen["clipped"] == dict.fromkeys(seen["clipped"], 0)

@@ -18,7 +18,10 @@ PARAMETERS = {
     ),
     "INPUT_MASK": mark("Excludes pixels of the target: those where this raster is 0."),
     "DEM": mark("Heights of the ground, for images with rational polynomial coefficients (RPC)."),
-    "DEM_VERTICAL": mark("Metres, or the path of a geoid grid. 0: the heights count from the ellipsoid."),
+    "DEM_VERTICAL": mark(
+        "What is added to the heights to count from the ellipsoid, where the CRS of the DEM does not tell: "
+        "metres, or the path of a geoid grid. 0: they count from the ellipsoid."
+    ),
     "MAX_CE90": mark(
         "90 % of the check points must lie within so many pixels. Otherwise no raster is written."
     ),
@@ -48,9 +51,17 @@ PARAMETERS = {
     ),
     "KEEP": mark("Write the raster although a requirement is not met; the output PASSED says so."),
     "METHOD": mark("How two windows are compared. The first is the most precise."),
-    "POINTS": mark("At most so many, spread evenly, the most precise of each neighbourhood."),
-    "SEARCH_RADIUS": mark("Raise it where the displacement may exceed 12 pixels."),
-    "WINDOW": mark("Larger windows are more precise, smaller ones follow finer displacements."),
+    "POINTS": mark(
+        "At most so many, spread evenly, the most precise of each neighbourhood. Not set: 1000 of a scene, "
+        "all of a small image."
+    ),
+    "SEARCH_RADIUS": mark(
+        "The largest displacement, pixels of the coarser raster. Raise it where that may exceed 12 pixels."
+    ),
+    "WINDOW": mark(
+        "Its side, odd, pixels of the coarser raster. Larger windows are more precise, smaller ones follow "
+        "finer displacements."
+    ),
     "PREALIGN": mark("Automatic believes the georeferencing, and searches the whole image where that fails."),
     "JOBS": mark("Number of processes that share a large scene. The result does not depend on it."),
     "EXTRA": mark("Any other option of the command line, as written there."),
@@ -76,10 +87,18 @@ PARAMETERS = {
     "CAPTURES": mark("Raw frames as the camera wrote them, one file a lens, of captures in flight."),
     "RIG": mark("What an earlier run has learned of this camera. Not set: it is learned from the frames."),
     "BANDS": mark("The bands that are compared. Not set: all."),
-    "AGAINST": mark("Compares every band with this one instead of each with each."),
+    "AGAINST": mark(
+        "Compares every band with this one instead of each with each: the end of its name, such as B4."
+    ),
     "PRESET": mark("The registration that a mission promises."),
     "MASK": mark("Excludes pixels of all rasters: those where this one is 0."),
-    "REFERENCE_NAME": mark("The raster whose grid all others get."),
+    "stack.REFERENCE": mark("The raster whose grid all others get."),
+    "REFERENCE_NAME": mark("The raster whose grid all others get: the name of its file without extension."),
+    "DATES": mark(
+        "One of each raster, in their order, separated by semicolons, such as 2024-05-01; 2024-06-02. Needed "
+        "for “Watch a stack”. Not set: the time of a layer (Properties, Temporal), or the date in the name "
+        "of its file (2024-05-01 or 20240501)."
+    ),
     "DATUM": mark("One raster, which does not move; or the mean of all, if none is better than the others."),
     "BAND": mark("The band of each raster that is compared."),
     "MAX_PAIRS": mark("Fewer pairs are quicker, and less is checked."),
@@ -106,33 +125,27 @@ TITLES = {
     "EXTENT": mark("Extent (not set: all)"),
     "AREA": mark("Area of interest"),
     "EXCLUDED": mark("Excluded area"),
-    "REFERENCE_MASK": mark("Mask of the reference (0 = excluded; or QA_PIXEL, SCL)"),
-    "INPUT_MASK": mark("Mask of the target (0 = excluded; or QA_PIXEL, SCL)"),
+    "REFERENCE_MASK": mark("Mask of the reference (0 = excluded)"),
+    "INPUT_MASK": mark("Mask of the target (0 = excluded)"),
     "DEM": mark("DEM, for a target with RPCs"),
     "stack.DEM": mark("DEM, for images with RPCs"),
-    "DEM_VERTICAL": mark(
-        "DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell"
-    ),
-    "MAX_CE90": mark("Required accuracy: largest CE90, target pixels (not set: any)"),
+    "DEM_VERTICAL": mark("DEM: what is added to its heights"),
+    "MAX_CE90": mark("Required accuracy: CE90, target pixels"),
     "REQUIRE": mark("Requirements, separated by semicolons"),
     "MODEL": mark("Correction model"),
-    "GEOREFERENCE": mark(
-        "Only georeference: write no registered raster, but a VRT with the corrected georeferencing"
-    ),
+    "GEOREFERENCE": mark("Only georeference (a VRT, no registered raster)"),
     "LIKE": mark("Grid of another raster"),
     "RESAMPLING": mark("Resampling"),
     "TIE_POINTS": mark("Tie points of a file"),
     "PLACE": mark("Geotransform of the target, put by hand"),
-    "KEEP": mark("Keep the registered raster although a requirement is not met"),
+    "KEEP": mark("Keep the raster although a requirement is not met"),
     "METHOD": mark("Matching method"),
-    "POINTS": mark("Tie points wanted (0: all; not set: 1000 of a scene, all of a small image)"),
-    "SEARCH_RADIUS": mark(
-        "Search radius: largest displacement, pixels of the coarser raster (not set: automatic)"
-    ),
-    "WINDOW": mark("Matching window: its side, odd, pixels of the coarser raster (not set: automatic)"),
+    "POINTS": mark("Tie points wanted (0: all; not set: automatic)"),
+    "SEARCH_RADIUS": mark("Search radius, pixels (not set: automatic)"),
+    "WINDOW": mark("Matching window, pixels (not set: automatic)"),
     "PREALIGN": mark("Rough alignment"),
     "JOBS": mark("Processes (not set: one a core)"),
-    "EXTRA": mark("More options of the command line, such as --features 500"),
+    "EXTRA": mark("More options, such as --features 500"),
     "OUTPUT": mark("Registered raster"),
     "OUTPUT_DISPLACEMENT": mark("Displacement field"),
     "OUTPUT_TIEPOINTS": mark("Tie points"),
@@ -148,7 +161,7 @@ TITLES = {
     "OUTPUT_MOTION": mark("Motion of the ground"),
     "EFFORT": mark("Effort"),
     "STACK": mark("Stack (folder of all results)"),
-    "watch.EXTRA": mark("More options of the command line, such as --add image.tif"),
+    "watch.EXTRA": mark("More options, such as --add image.tif"),
     "REGISTRATION": mark("Registration (folder of all results)"),
     "INPUTS": mark("Rasters"),
     "shift.INPUTS": mark("Layers"),
@@ -161,19 +174,19 @@ TITLES = {
     "RIG": mark("RIG.json of this camera (not set: learned)"),
     "registermany.INPUTS": mark("Targets (move)"),
     "BANDS": mark("Bands of each, such as 2,4-6 (not set: all)"),
-    "AGAINST": mark("Compare every band with this one only: the end of its name, such as B4"),
+    "AGAINST": mark("Compare every band with this one only"),
     "PRESET": mark("Requirement of a mission"),
     "MASK": mark("Mask of all rasters (0 = excluded)"),
-    "REFERENCE_NAME": mark(
-        "Reference, whose grid all get: the name of its file without extension (not set: the first)"
-    ),
+    "stack.REFERENCE": mark("Reference (not set: the first)"),
+    "REFERENCE_NAME": mark("Reference by its name, instead"),
+    "DATES": mark("Dates (not set: of layers or file names)"),
     "DATUM": mark("What stays"),
     "BAND": mark("Band of each"),
     "MAX_PAIRS": mark("Most pairs that are matched (not set: enough)"),
-    "WHEEL": mark("Wheel of pcwlad-geo (not set: from the package index)"),
+    "WHEEL": mark("Wheel of pcwlad-geo (not set: the index)"),
     "FOLDER": mark("Or source folder of pcwlad-geo"),
-    "WHEELHOUSE": mark("Folder of wheels, for computers without internet"),
-    "PYTHON": mark("Python 3.10 or newer (not set: found by itself)"),
+    "WHEELHOUSE": mark("Folder of wheels, without internet"),
+    "PYTHON": mark("Python 3.10 or newer (not set: found)"),
     "out.POINTS": mark("Tie points"),
     "out.SHIFT": mark("Median displacement, target pixels"),
     "out.SHIFT_COL": mark("Median displacement to the right, target pixels"),
@@ -236,6 +249,27 @@ LABELS = {
     "mean": mark("The mean position of all"),
 }
 """What the dialogs call the choices of the engine."""
+TAGS = {
+    "": mark("pcwlad,coregistration,coregister,image registration"),
+    "register": mark("align,georeference,georeferencer,thermal,tie points,image matching,warp,rectify,gcp"),
+    "match": mark("align,tie points,image matching,georeferencer,gcp,thermal"),
+    "registermany": mark("align,georeference,thermal,batch,image matching"),
+    "apply": mark("align,georeference,warp,rectify"),
+    "stack": mark("align,time series,georeference,block adjustment"),
+    "rig": mark("thermal,multispectral,drone,uav,bands"),
+}
+"""Words of a search that find the algorithms: of all, and of each."""
+LEGEND = {
+    r"rejected": mark("rejected"),
+    r"not fitted": mark("not fitted"),
+    r"check point": mark("check point"),
+    r"residual up to (\S+) px": mark("residual up to {} px"),
+    r"residual (\S+) to (\S+) px": mark("residual {} to {} px"),
+    r"residual over (\S+) px": mark("residual over {} px"),
+}
+"""What the engine calls the classes of its styled layers."""
+ARROWS = mark("{} (arrows × {})")
+"""A class that is drawn by longer arrows."""
 OPTIONS = {
     "--search-radius": mark("Search radius"),
     "--points": mark("Tie points wanted"),
@@ -276,6 +310,7 @@ STAGES = {
     "images": mark("Rasters"),
     "rasters": mark("Rasters"),
     "captures": mark("Captures"),
+    "dates": mark("Dates"),
     "writing": mark("Writing"),
     "warping": mark("Warping"),
     "vectors": mark("Vectors"),

@@ -50,7 +50,7 @@ class PcwladGeoPlugin:
 
             self.dock = AlignDock(self._iface)
             self._iface.addDockWidget(QtCore.Qt.DockWidgetArea.RightDockWidgetArea, self.dock)
-        self.dock.open_for(self._iface.activeLayer())
+        self.dock.open_for(self._iface.activeLayer(), self._iface.layerTreeView().selectedLayers())
 
     def _show_report(self, message: str, report: str) -> None:
         """Put a message into the bar of the window, with a button that opens the report."""

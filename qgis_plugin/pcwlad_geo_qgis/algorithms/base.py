@@ -14,7 +14,7 @@ from typing import Any
 from qgis import core
 from qgis.PyQt.QtGui import QIcon
 
-from ..help import LABELS, PARAMETERS, TITLES
+from ..help import LABELS, PARAMETERS, TAGS, TITLES
 from ..model import settings
 from ..model.notices import tell_of_report
 from ..model.rasters import path_of, problem_of, same_file, warning_of
@@ -57,12 +57,17 @@ class PlainAlgorithm(core.QgsProcessingAlgorithm):
     TITLE = ""
     HELP = ""
     GROUP = mark("Registration")
+    about = ""
+    """What one of them works on, for the list of tasks."""
 
     def name(self) -> str:
         return self.ID
 
     def displayName(self) -> str:
-        return tr(self.TITLE)
+        return f"{tr(self.TITLE)}: {self.about}" if self.about else tr(self.TITLE)
+
+    def tags(self) -> list[str]:
+        return ",".join([tr(TAGS[""]), tr(TAGS.get(self.ID, ""))]).strip(",").split(",")
 
     def group(self) -> str:
         return tr(self.GROUP)

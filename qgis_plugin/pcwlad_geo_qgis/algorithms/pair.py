@@ -7,7 +7,7 @@ from pathlib import Path
 from qgis import core
 
 from ..model.areas import file_of_areas, stand_in
-from ..model.rasters import crs_differs, other_raster, path_of, same_file
+from ..model.rasters import crs_differs, has_place, other_raster, path_of, same_file
 from ..model.tie_points import TiePointStyle, add_vectors, open_tie_points
 from ..process.figures import figures, summary, told
 from ..text import tr
@@ -63,6 +63,8 @@ class PairAlgorithm(EngineAlgorithm):
         if same_file(paths["REFERENCE"], paths["INPUT"]) and bands[0] == bands[1]:
             return tr("Reference and target are the same raster and band. Choose another target.")
         if parameters.get("EXTENT") not in (None, ""):
+            if not has_place(layers["INPUT"]):
+                return tr("Extent: the layer has no place on the map. Leave the extent out.")
             extent = self.parameterAsExtent(parameters, "EXTENT", context, layers["REFERENCE"].crs())
             if not extent.intersects(layers["REFERENCE"].extent()):
                 return tr("Extent: it lies outside of the reference. Choose another.")

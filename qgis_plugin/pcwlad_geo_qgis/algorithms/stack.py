@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import csv
 import shutil
 
 from qgis import core
+from qgis.PyQt import QtCore
 
 from ..help import WATCH_LINE
 from ..model.tie_points import TiePointStyle
 from ..text import mark, tr
-from .base import Context, EngineAlgorithm, Feedback, Values, absolute, words_of
+from .base import Context, EngineAlgorithm, Feedback, Values, absolute, options_of, temporary_folder, words_of
 
 ORDERS = ("auto", "shift", "affine", "polynomial", "tps", "projective")
 OPTIONS = ("REFERENCE_NAME", "DATUM", "MODEL", "BAND", "MAX_PAIRS", "DEM", "DEM_VERTICAL")
 DATUMS = ("reference", "mean")
+ISO = QtCore.Qt.DateFormat.ISODate
 
 
 class AdjustStack(EngineAlgorithm):
@@ -29,7 +32,7 @@ class AdjustStack(EngineAlgorithm):
         "the sigma of each. Run again with the same folder, pairs that are done are not done twice.\n"
         "<b>Report</b>: opens in the Results Viewer."
     )
-    RASTERS = ("DEM",)
+    RASTERS = ("DEM", "REFERENCE")
     LISTS = ("INPUTS",)
     FILES = {"OUTPUT_HTML": "report", "OUTPUT_CSV": "table"}
     CHOICES = {**EngineAlgorithm.CHOICES, "MODEL": ORDERS, "DATUM": DATUMS}
@@ -38,7 +41,9 @@ class AdjustStack(EngineAlgorithm):
         rasters, kind = core.QgsProcessingParameterMultipleLayers, core.QgsProcessing.SourceType.TypeRaster
         number = core.QgsProcessingParameterNumber
         self.add(rasters, "INPUTS", kind)
-        self.add(core.QgsProcessingParameterString, "REFERENCE_NAME", optional=True)
+        self.add(core.QgsProcessingParameterRasterLayer, "REFERENCE", optional=True)
+        self.add(core.QgsProcessingParameterString, "REFERENCE_NAME", optional=True, advanced=True)
+        self.add(core.QgsProcessingParameterString, "DATES", optional=True)
         self.add_choice("DATUM", "reference")
         self.add_choice("MODEL", "auto")
         self.add(core.QgsProcessingParameterRasterLayer, "DEM", optional=True)
@@ -49,14 +54,56 @@ class AdjustStack(EngineAlgorithm):
         self.add_folder(optional=False)
         self.add_results(core.QgsProcessingOutputNumber, "IMAGES")
 
+    def problem(self, parameters: Values, context: Context) -> str:
+        """Return what is wrong with the parameters, and what to do; empty where nothing is."""
+        if found := super().problem(parameters, context):
+            return found
+        dates, rasters = _dates(self.parameterAsString(parameters, "DATES", context)), parameters["INPUTS"]
+        wrong = [each for each in dates if not QtCore.QDate.fromString(each[:10], ISO).isValid()]
+        if wrong:
+            return tr("Dates: {} is no date. Write it as 2024-05-01.").format(wrong[0])
+        if dates and len(dates) != len(rasters):
+            return tr("Dates: {} are given for {} rasters. Give one of each.").format(
+                len(dates), len(rasters)
+            )
+        return ""
+
+    def prepareAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> bool:
+        """Read the dates of the layers, which belong to this thread."""
+        super().prepareAlgorithm(parameters, context, feedback)
+        layers = [layer for name, layer in self.layers(parameters, context) if name == "INPUTS"]
+        self._dates = _dates(self.parameterAsString(parameters, "DATES", context)) or [*map(_date_of, layers)]
+        return True
+
+    def _images(self) -> list[str]:
+        """Return the rasters, or a table of them and their dates where any is known."""
+        if not any(self._dates):
+            return self.paths("INPUTS")
+        table = temporary_folder() / "images.csv"
+        with table.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows([("image", "date"), *zip(self.paths("INPUTS"), self._dates)])
+        return [str(table)]
+
     def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
-        arguments = ["stack", *self.paths("INPUTS"), *self.options(parameters, context, *OPTIONS)]
+        arguments = ["stack", *self._images(), *self.options(parameters, context, *OPTIONS)]
+        arguments += options_of({"--reference": "".join(self.paths("REFERENCE"))})
         arguments += self.matching_options(parameters, context)
         shares = {"pairs": (0, 85), "warping": (85, 100)}
         outcome, files = self.run_in_folder(arguments, feedback, shares)
         for name in outcome["unreadable"]:
             feedback.pushWarning(tr("Cannot be read: {}").format(name))
         return {**files, "IMAGES": outcome["images"]}
+
+
+def _dates(text: str) -> list[str]:
+    return [each.strip() for each in text.split(";")] if text.strip() else []
+
+
+def _date_of(layer: core.QgsRasterLayer) -> str:
+    """Return the day on which a layer begins in the temporal controller; empty where it has no time."""
+    time = layer.temporalProperties()
+    fixed = time.isActive() and time.mode() == core.Qgis.RasterTemporalMode.FixedTemporalRange
+    return time.fixedTemporalRange().begin().date().toString(ISO) if fixed else ""
 
 
 class WatchStack(EngineAlgorithm):

@@ -230,6 +230,10 @@ dx und dy sind in den Einheiten des KBS des ersten Layers; gedreht wird um seine
       <translation>Die Passpunkte können nicht geschrieben werden: {}</translation>
     </message>
     <message>
+      <source>Extent: the layer has no place on the map. Leave the extent out.</source>
+      <translation>Ausdehnung: Der Layer hat keinen Ort auf der Karte. Die Ausdehnung weglassen.</translation>
+    </message>
+    <message>
       <source>Extent: it lies outside of the reference. Choose another.</source>
       <translation>Ausdehnung: Sie liegt außerhalb der Referenz. Wählen Sie eine andere.</translation>
     </message>
@@ -316,8 +320,20 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>nicht bekannt</translation>
     </message>
     <message>
+      <source>Dates: {} is no date. Write it as 2024-05-01.</source>
+      <translation>Daten: {} ist kein Datum. So schreiben: 2024-05-01.</translation>
+    </message>
+    <message>
+      <source>Dates: {} are given for {} rasters. Give one of each.</source>
+      <translation>Daten: {} sind angegeben für {} Raster. Je Raster eines angeben.</translation>
+    </message>
+    <message>
       <source>Cannot be read: {}</source>
       <translation>Nicht lesbar: {}</translation>
+    </message>
+    <message>
+      <source>{} (arrows × {})</source>
+      <translation>{} (Pfeile × {})</translation>
     </message>
     <message>
       <source>{target} on {reference}: {n} points, mean {mean_col_px} px to the right, {mean_row_px} px down; CE90 {ce90_px} px</source>
@@ -440,8 +456,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Geländehöhen, für Bilder mit rationalen Polynomkoeffizienten (RPC).</translation>
     </message>
     <message>
-      <source>Metres, or the path of a geoid grid. 0: the heights count from the ellipsoid.</source>
-      <translation>Meter, oder der Pfad eines Geoidgitters. 0: Die Höhen zählen vom Ellipsoid.</translation>
+      <source>What is added to the heights to count from the ellipsoid, where the CRS of the DEM does not tell: metres, or the path of a geoid grid. 0: they count from the ellipsoid.</source>
+      <translation>Was zu den Höhen kommt, damit sie vom Ellipsoid zählen, wo das KBS des DGM es nicht sagt: Meter oder der Pfad eines Geoidgitters. 0: Sie zählen vom Ellipsoid.</translation>
     </message>
     <message>
       <source>90 % of the check points must lie within so many pixels. Otherwise no raster is written.</source>
@@ -492,16 +508,16 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Wie zwei Fenster verglichen werden. Das erste Verfahren ist das genaueste.</translation>
     </message>
     <message>
-      <source>At most so many, spread evenly, the most precise of each neighbourhood.</source>
-      <translation>Höchstens so viele, gleichmäßig verteilt, die genauesten jeder Umgebung.</translation>
+      <source>At most so many, spread evenly, the most precise of each neighbourhood. Not set: 1000 of a scene, all of a small image.</source>
+      <translation>Höchstens so viele, gleichmäßig verteilt, die genauesten jeder Umgebung. Leer: 1000 einer Szene, alle eines kleinen Bildes.</translation>
     </message>
     <message>
-      <source>Raise it where the displacement may exceed 12 pixels.</source>
-      <translation>Erhöhen Sie ihn, wo die Verschiebung größer als 12 Pixel sein kann.</translation>
+      <source>The largest displacement, pixels of the coarser raster. Raise it where that may exceed 12 pixels.</source>
+      <translation>Die größte Verschiebung in Pixeln des gröberen Rasters. Erhöhen, wo sie 12 Pixel übersteigen kann.</translation>
     </message>
     <message>
-      <source>Larger windows are more precise, smaller ones follow finer displacements.</source>
-      <translation>Größere Fenster sind genauer, kleinere folgen feineren Verschiebungen.</translation>
+      <source>Its side, odd, pixels of the coarser raster. Larger windows are more precise, smaller ones follow finer displacements.</source>
+      <translation>Seitenlänge, ungerade, in Pixeln des gröberen Rasters. Größere Fenster sind genauer, kleinere folgen feineren Verschiebungen.</translation>
     </message>
     <message>
       <source>Automatic believes the georeferencing, and searches the whole image where that fails.</source>
@@ -588,8 +604,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Die Kanäle, die verglichen werden. Leer: alle.</translation>
     </message>
     <message>
-      <source>Compares every band with this one instead of each with each.</source>
-      <translation>Vergleicht jeden Kanal mit diesem statt jeden mit jedem.</translation>
+      <source>Compares every band with this one instead of each with each: the end of its name, such as B4.</source>
+      <translation>Vergleicht jeden Kanal mit diesem statt jeden mit jedem: das Ende seines Namens, etwa B4.</translation>
     </message>
     <message>
       <source>The registration that a mission promises.</source>
@@ -602,6 +618,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>The raster whose grid all others get.</source>
       <translation>Das Raster, dessen Gitter alle anderen bekommen.</translation>
+    </message>
+    <message>
+      <source>The raster whose grid all others get: the name of its file without extension.</source>
+      <translation>Das Raster, dessen Gitter alle anderen bekommen: der Name seiner Datei ohne Endung.</translation>
+    </message>
+    <message>
+      <source>One of each raster, in their order, separated by semicolons, such as 2024-05-01; 2024-06-02. Needed for “Watch a stack”. Not set: the time of a layer (Properties, Temporal), or the date in the name of its file (2024-05-01 or 20240501).</source>
+      <translation>Eines je Raster, in ihrer Reihenfolge, durch Semikolons getrennt, etwa 2024-05-01; 2024-06-02. Nötig für „Einen Stapel überwachen“. Leer: die Zeit eines Layers (Eigenschaften, Zeitlich) oder das Datum im Namen seiner Datei (2024-05-01 oder 20240501).</translation>
     </message>
     <message>
       <source>One raster, which does not move; or the mean of all, if none is better than the others.</source>
@@ -680,12 +704,12 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Ausgeschlossenes Gebiet</translation>
     </message>
     <message>
-      <source>Mask of the reference (0 = excluded; or QA_PIXEL, SCL)</source>
-      <translation>Maske der Referenz (0 = ausgeschlossen; oder QA_PIXEL, SCL)</translation>
+      <source>Mask of the reference (0 = excluded)</source>
+      <translation>Maske der Referenz (0 = ausgeschlossen)</translation>
     </message>
     <message>
-      <source>Mask of the target (0 = excluded; or QA_PIXEL, SCL)</source>
-      <translation>Maske des Ziels (0 = ausgeschlossen; oder QA_PIXEL, SCL)</translation>
+      <source>Mask of the target (0 = excluded)</source>
+      <translation>Maske des Ziels (0 = ausgeschlossen)</translation>
     </message>
     <message>
       <source>DEM, for a target with RPCs</source>
@@ -696,12 +720,12 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>DGM, für Bilder mit RPC</translation>
     </message>
     <message>
-      <source>DEM: what is added to its heights to count from the ellipsoid, where its CRS does not tell</source>
-      <translation>DEM: was zu seinen Höhen addiert wird, damit sie vom Ellipsoid zählen, wo sein KBS es nicht sagt</translation>
+      <source>DEM: what is added to its heights</source>
+      <translation>DGM: was zu seinen Höhen addiert wird</translation>
     </message>
     <message>
-      <source>Required accuracy: largest CE90, target pixels (not set: any)</source>
-      <translation>Verlangte Genauigkeit: größter CE90, Pixel des Ziels (leer: jeder)</translation>
+      <source>Required accuracy: CE90, target pixels</source>
+      <translation>Geforderte Genauigkeit: CE90, Zielpixel</translation>
     </message>
     <message>
       <source>Requirements, separated by semicolons</source>
@@ -712,8 +736,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Korrekturmodell</translation>
     </message>
     <message>
-      <source>Only georeference: write no registered raster, but a VRT with the corrected georeferencing</source>
-      <translation>Nur georeferenzieren: kein registriertes Raster, sondern ein VRT mit der korrigierten Georeferenzierung</translation>
+      <source>Only georeference (a VRT, no registered raster)</source>
+      <translation>Nur georeferenzieren (ein VRT, kein Raster)</translation>
     </message>
     <message>
       <source>Grid of another raster</source>
@@ -732,24 +756,24 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Geotransformation des Ziels, von Hand gelegt</translation>
     </message>
     <message>
-      <source>Keep the registered raster although a requirement is not met</source>
-      <translation>Das registrierte Raster behalten, obwohl eine Anforderung nicht erfüllt ist</translation>
+      <source>Keep the raster although a requirement is not met</source>
+      <translation>Raster trotz verfehlter Anforderung behalten</translation>
     </message>
     <message>
       <source>Matching method</source>
       <translation>Verfahren der Zuordnung</translation>
     </message>
     <message>
-      <source>Tie points wanted (0: all; not set: 1000 of a scene, all of a small image)</source>
-      <translation>Gewünschte Verknüpfungspunkte (0: alle; leer: 1000 einer Szene, alle eines kleinen Bildes)</translation>
+      <source>Tie points wanted (0: all; not set: automatic)</source>
+      <translation>Gewünschte Punkte (0: alle; leer: automatisch)</translation>
     </message>
     <message>
-      <source>Search radius: largest displacement, pixels of the coarser raster (not set: automatic)</source>
-      <translation>Suchradius: größte Verschiebung in Pixeln des gröberen Rasters (leer: automatisch)</translation>
+      <source>Search radius, pixels (not set: automatic)</source>
+      <translation>Suchradius, Pixel (leer: automatisch)</translation>
     </message>
     <message>
-      <source>Matching window: its side, odd, pixels of the coarser raster (not set: automatic)</source>
-      <translation>Vergleichsfenster: Seitenlänge, ungerade, Pixel des gröberen Rasters (leer: automatisch)</translation>
+      <source>Matching window, pixels (not set: automatic)</source>
+      <translation>Vergleichsfenster, Pixel (leer: automatisch)</translation>
     </message>
     <message>
       <source>Rough alignment</source>
@@ -760,8 +784,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Prozesse (leer: einer je Kern)</translation>
     </message>
     <message>
-      <source>More options of the command line, such as --features 500</source>
-      <translation>Weitere Optionen der Kommandozeile, etwa --features 500</translation>
+      <source>More options, such as --features 500</source>
+      <translation>Weitere Optionen, etwa --features 500</translation>
     </message>
     <message>
       <source>Registered raster</source>
@@ -820,8 +844,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Stapel (Ordner aller Ergebnisse)</translation>
     </message>
     <message>
-      <source>More options of the command line, such as --add image.tif</source>
-      <translation>Weitere Optionen der Befehlszeile, etwa --add bild.tif</translation>
+      <source>More options, such as --add image.tif</source>
+      <translation>Weitere Optionen, etwa --add image.tif</translation>
     </message>
     <message>
       <source>Registration (folder of all results)</source>
@@ -872,8 +896,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Kanäle jedes Rasters, etwa 2,4-6 (leer: alle)</translation>
     </message>
     <message>
-      <source>Compare every band with this one only: the end of its name, such as B4</source>
-      <translation>Jeden Kanal nur mit diesem vergleichen: Ende seines Namens, etwa B4</translation>
+      <source>Compare every band with this one only</source>
+      <translation>Jeden Kanal nur mit diesem vergleichen</translation>
     </message>
     <message>
       <source>Requirement of a mission</source>
@@ -884,8 +908,16 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Maske aller Raster (0 = ausgeschlossen)</translation>
     </message>
     <message>
-      <source>Reference, whose grid all get: the name of its file without extension (not set: the first)</source>
-      <translation>Referenz, deren Gitter alle bekommen: Name ihrer Datei ohne Endung (leer: die erste)</translation>
+      <source>Reference (not set: the first)</source>
+      <translation>Referenz (leer: die erste)</translation>
+    </message>
+    <message>
+      <source>Reference by its name, instead</source>
+      <translation>Referenz nach ihrem Namen, stattdessen</translation>
+    </message>
+    <message>
+      <source>Dates (not set: of layers or file names)</source>
+      <translation>Daten (leer: der Layer oder Dateinamen)</translation>
     </message>
     <message>
       <source>What stays</source>
@@ -900,20 +932,20 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Größte Zahl von Paaren, die zugeordnet werden (leer: genug)</translation>
     </message>
     <message>
-      <source>Wheel of pcwlad-geo (not set: from the package index)</source>
-      <translation>Wheel von pcwlad-geo (nicht gesetzt: aus dem Paketverzeichnis)</translation>
+      <source>Wheel of pcwlad-geo (not set: the index)</source>
+      <translation>Wheel von pcwlad-geo (leer: der Index)</translation>
     </message>
     <message>
       <source>Or source folder of pcwlad-geo</source>
       <translation>Oder Quellordner von pcwlad-geo</translation>
     </message>
     <message>
-      <source>Folder of wheels, for computers without internet</source>
-      <translation>Ordner mit Wheels, für Rechner ohne Internet</translation>
+      <source>Folder of wheels, without internet</source>
+      <translation>Ordner mit Wheels, ohne Internet</translation>
     </message>
     <message>
-      <source>Python 3.10 or newer (not set: found by itself)</source>
-      <translation>Python 3.10 oder neuer (leer: wird selbst gefunden)</translation>
+      <source>Python 3.10 or newer (not set: found)</source>
+      <translation>Python 3.10 oder neuer (leer: gefunden)</translation>
     </message>
     <message>
       <source>Median displacement, target pixels</source>
@@ -1132,6 +1164,58 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Die mittlere Lage aller</translation>
     </message>
     <message>
+      <source>pcwlad,coregistration,coregister,image registration</source>
+      <translation>pcwlad,coregistration,coregister,Koregistrierung,Bildregistrierung</translation>
+    </message>
+    <message>
+      <source>align,georeference,georeferencer,thermal,tie points,image matching,warp,rectify,gcp</source>
+      <translation>align,ausrichten,georeferenzieren,Georeferenzierer,thermal,Passpunkte,Verknüpfungspunkte,Bildzuordnung,entzerren,gcp</translation>
+    </message>
+    <message>
+      <source>align,tie points,image matching,georeferencer,gcp,thermal</source>
+      <translation>align,ausrichten,Passpunkte,Verknüpfungspunkte,Bildzuordnung,Georeferenzierer,gcp,thermal</translation>
+    </message>
+    <message>
+      <source>align,georeference,thermal,batch,image matching</source>
+      <translation>align,ausrichten,georeferenzieren,thermal,Stapelverarbeitung,Bildzuordnung</translation>
+    </message>
+    <message>
+      <source>align,georeference,warp,rectify</source>
+      <translation>align,ausrichten,georeferenzieren,entzerren</translation>
+    </message>
+    <message>
+      <source>align,time series,georeference,block adjustment</source>
+      <translation>align,ausrichten,Zeitreihe,georeferenzieren,Blockausgleichung</translation>
+    </message>
+    <message>
+      <source>thermal,multispectral,drone,uav,bands</source>
+      <translation>thermal,multispektral,Drohne,uav,Kanäle</translation>
+    </message>
+    <message>
+      <source>rejected</source>
+      <translation>verworfen</translation>
+    </message>
+    <message>
+      <source>not fitted</source>
+      <translation>nicht angepasst</translation>
+    </message>
+    <message>
+      <source>check point</source>
+      <translation>Kontrollpunkt</translation>
+    </message>
+    <message>
+      <source>residual up to {} px</source>
+      <translation>Restfehler bis {} px</translation>
+    </message>
+    <message>
+      <source>residual {} to {} px</source>
+      <translation>Restfehler {} bis {} px</translation>
+    </message>
+    <message>
+      <source>residual over {} px</source>
+      <translation>Restfehler über {} px</translation>
+    </message>
+    <message>
       <source>Search radius</source>
       <translation>Suchradius</translation>
     </message>
@@ -1156,16 +1240,16 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Ausdehnung</translation>
     </message>
     <message>
-      <source>DEM: what is added to its heights</source>
-      <translation>DGM: was zu seinen Höhen addiert wird</translation>
-    </message>
-    <message>
       <source>Mask of the reference</source>
       <translation>Maske der Referenz</translation>
     </message>
     <message>
       <source>Mask of the target</source>
       <translation>Maske des Ziels</translation>
+    </message>
+    <message>
+      <source>Keep the registered raster although a requirement is not met</source>
+      <translation>Das registrierte Raster behalten, obwohl eine Anforderung nicht erfüllt ist</translation>
     </message>
     <message>
       <source>Reading</source>
@@ -1202,6 +1286,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Captures</source>
       <translation>Aufnahmen</translation>
+    </message>
+    <message>
+      <source>Dates</source>
+      <translation>Daten</translation>
     </message>
     <message>
       <source>Writing</source>
@@ -1284,10 +1372,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>nicht benutzt</translation>
     </message>
     <message>
-      <source>rejected</source>
-      <translation>verworfen</translation>
-    </message>
-    <message>
       <source>Quality: {}; 90 % of the common ground is expected to lie within {}</source>
       <translation>Qualität: {}; 90 % des gemeinsamen Bodens liegen voraussichtlich innerhalb von {}</translation>
     </message>
@@ -1354,6 +1438,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Tie points being edited</source>
       <translation>Passpunkte in Bearbeitung</translation>
+    </message>
+    <message>
+      <source>Displacement</source>
+      <translation>Verschiebung</translation>
     </message>
     <message>
       <source>{}: residual × {:g}</source>
@@ -1521,7 +1609,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Tie points (*.points *.csv *.pts *.txt)</source>
-      <translation>Passpunkte (*.points *.csv *.pts *.txt)</translation>
+      <translation>Verknüpfungspunkte (*.points *.csv *.pts *.txt)</translation>
     </message>
     <message>
       <source>Wheel of pcwlad-geo</source>
@@ -1546,10 +1634,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>{} aligned</source>
       <translation>{} ausgerichtet</translation>
-    </message>
-    <message>
-      <source>Displacement</source>
-      <translation>Verschiebung</translation>
     </message>
     <message>
       <source>{} is corrected.</source>
@@ -1629,7 +1713,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Too few tie points place the layer.</source>
-      <translation>Zu wenige Passpunkte geben dem Layer einen Ort.</translation>
+      <translation>Zu wenige Verknüpfungspunkte geben dem Layer einen Ort.</translation>
     </message>
     <message>
       <source>Choose the layer on the page “Align” first.</source>

@@ -56,6 +56,12 @@ def file_behind(source: str) -> Path | None:
     return next((each for each in (Path(bare), *Path(bare).parents) if each.is_file()), None)
 
 
+def has_place(layer: QgsRasterLayer) -> bool:
+    """Return whether a layer lies on the map: without georeferencing QGIS shows it from (0, 0) down."""
+    extent = layer.extent()
+    return layer.crs().isValid() or (extent.xMinimum(), extent.yMaximum()) != (0.0, 0.0)
+
+
 def crs_differs(layer: QgsRasterLayer) -> bool:
     """Return whether QGIS has another CRS for a layer than its file."""
     shown, stored = layer.crs(), layer.dataProvider().crs()

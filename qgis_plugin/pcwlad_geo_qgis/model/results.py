@@ -11,7 +11,7 @@ from qgis import core
 
 from ..process.points import Points
 from ..text import tr
-from .tie_points import COLOURS, add_vectors, open_tie_points, renderer_of, symbol_of
+from .tie_points import COLOURS, add_vectors, open_tie_points, renderer_of, symbol_of, translate_legend
 
 CHANGING = ("status", "residual_col", "residual_row")
 """Columns of tie points that change while they are edited."""
@@ -22,14 +22,6 @@ def add_group(name: str, anew: bool = True) -> core.QgsLayerTreeGroup:
     root = core.QgsProject.instance().layerTreeRoot()
     found = root.findGroup(name)
     return found if found and not anew else root.insertGroup(0, unused(name, " ", root.findGroup))
-
-
-def put_behind(name: str) -> None:
-    """Switch off and fold earlier groups of a name, with or without a number."""
-    for group in core.QgsProject.instance().layerTreeRoot().findGroups():
-        if group.name().rstrip("0123456789").rstrip() == name:
-            group.setItemVisibilityChecked(False)
-            group.setExpanded(False)
 
 
 def unused(name: str, separator: str, used: Callable[[str], object]) -> str:
@@ -51,6 +43,48 @@ def add_raster(path: str, target: core.QgsMapLayer, group: core.QgsLayerTreeGrou
     layer.setName(target.name())
     core.QgsProject.instance().addMapLayer(layer, False)
     group.insertLayer(0 if made is core.QgsVectorLayer else -1, layer)
+    return layer
+
+
+def show_results(
+    raster: str, geopackage: str, target: core.QgsRasterLayer, name: str
+) -> tuple[dict[str, core.QgsMapLayer], str]:
+    """Show a registration in a group, and return its layers by what they are, and the name of the group.
+
+    What the project shows of it already stays, read anew. Earlier groups of the name are switched off.
+    """
+    root = core.QgsProject.instance().layerTreeRoot()
+    known = {each.source(): each for each in core.QgsProject.instance().mapLayers().values()}
+    node = root.findLayer(known[raster].id()) if raster in known else None
+    group = node.parent() if node is not None and node.parent() != root else None
+    if group is None:
+        for earlier in root.findGroups():
+            if earlier.name().rstrip("0123456789").rstrip() == name:
+                earlier.setItemVisibilityChecked(False)
+                earlier.setExpanded(False)
+        group = add_group(name)
+        layers = {"after": add_raster(raster, target, group)}
+    else:
+        layers = {"after": known[raster]}
+        known[raster].reload()
+    for role, title in (("tie_points", tr("Tie points")), ("displacements", tr("Displacement"))):
+        source = f"{geopackage}|layername={role}"
+        layers[role] = known.get(source) or _add_points(source, title, role == "tie_points", group)
+    return layers, group.name()
+
+
+def _add_points(source: str, title: str, points: bool, group: core.QgsLayerTreeGroup) -> core.QgsVectorLayer:
+    """Add tie points, as “Register raster” shows them, or displacements, which are hidden at first."""
+    layer = core.QgsVectorLayer(source, title)
+    if points:
+        add_vectors(layer)
+        layer.setRenderer(renderer_of(layer))
+    else:
+        translate_legend(layer)
+    core.QgsProject.instance().addMapLayer(layer, False)
+    node = group.insertLayer(0, layer)
+    node.setItemVisibilityChecked(points)
+    node.setExpanded(False)  # a long legend would push the raster out of sight
     return layer
 
 

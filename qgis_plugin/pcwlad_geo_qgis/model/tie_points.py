@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -10,7 +11,7 @@ from typing import Any, ClassVar
 from qgis import core
 from qgis.PyQt import sip
 
-from ..help import STATUSES
+from ..help import ARROWS, LEGEND, STATUSES
 from ..process.points import affine_of
 from ..text import tr
 
@@ -88,6 +89,18 @@ def pixel_to_map(features: Iterable[core.QgsFeature]) -> Matrix | None:
     rows = [[each[name] for name in PLACES] for each in features if each["status"] != "rejected"]
     found = affine_of(rows)
     return found and (found.a, found.b, found.d, found.e)
+
+
+def translate_legend(layer: core.QgsVectorLayer) -> None:
+    """Say the classes of a layer of the engine in the language of QGIS."""
+    renderer = layer.renderer().clone()
+    for rule in renderer.rootRule().children():
+        name, _, times = rule.label().partition(" (arrows × ")
+        for pattern, text in LEGEND.items():
+            if (found := re.fullmatch(pattern, name)) is not None:
+                said = tr(text).format(*found.groups())
+                rule.setLabel(tr(ARROWS).format(said, times.rstrip(")")) if times else said)
+    layer.setRenderer(renderer)
 
 
 class TiePointStyle(core.QgsProcessingLayerPostProcessorInterface):

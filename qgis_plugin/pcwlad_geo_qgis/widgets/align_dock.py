@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from ..algorithms.base import temporary_folder
 from ..help import DRAWN, MORE_LAYERS, NEEDS_TRUST, OTHER_BANDS
 from ..model import settings
 from ..model.rasters import file_behind, other_raster
-from ..model.results import add_group, add_raster, put_behind, unused
+from ..model.results import add_group, add_raster, show_results, unused
 from ..process.advice import report_in
 from ..process.engine import EngineError, help_page
 from ..process.figures import earlier, told
@@ -110,11 +111,14 @@ class AlignDock(gui.QgsDockWidget):
         core.QgsProject.instance().layersWillBeRemoved.connect(self._leave)
         core.QgsProject.instance().cleared.connect(self._clear)
 
-    def open_for(self, layer: core.QgsMapLayer | None) -> None:
-        """Show the dock with a layer to align, and another raster as its reference."""
+    def open_for(self, layer: core.QgsMapLayer | None, chosen: Sequence[core.QgsMapLayer] = ()) -> None:
+        """Show the dock with a layer to align, more that are chosen, and another raster as its reference."""
         if isinstance(layer, core.QgsRasterLayer):
             self.target.setLayer(layer)
         self.reference.setLayer(core.QgsProject.instance().mapLayer(other_raster() or ""))
+        rasters = [each for each in chosen if isinstance(each, core.QgsRasterLayer) and each != layer]
+        if rasters:
+            self.choices.set("MORE", [each.id() for each in rasters if each != self.reference.currentLayer()])
         self.show()
         self.raise_()
         self.start_button.setFocus()
@@ -139,6 +143,7 @@ class AlignDock(gui.QgsDockWidget):
             jobs.append(self._job(pair[0], target, OUTPUT_FOLDER=place))
             jobs[-1].name = target.name() if more and target else ""
         self._begin(jobs)
+        self.choices.set("MORE", None)  # they would be hidden, and aligned with the next one too
 
     def snap(self) -> None:
         """Align the layer from where it is put by hand; a refusal leaves it there."""
@@ -327,12 +332,9 @@ class AlignDock(gui.QgsDockWidget):
             self.tabs.setCurrentIndex(ALIGN)  # it lies where it belongs
         self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
         self._folder, paths, target = Path(results["OUTPUT_FOLDER"]), results["PATHS"], self._pair[1]
-        name = tr("{} aligned").format(target.name())
-        put_behind(name)
-        group = add_group(name)
-        self._group = group.name()
         raster = results.get("GEOREFERENCED") or paths["raster"]
-        self.layers = {"after": add_raster(raster, target, group)}
+        name = tr("{} aligned").format(target.name())
+        self.layers, self._group = show_results(raster, paths["geopackage"], target, name)
         for layer in core.QgsProject.instance().mapLayers().values():
             for role, copy in zip(("reference", "before"), self._pair):
                 if layer.source() == copy.source():
@@ -341,12 +343,6 @@ class AlignDock(gui.QgsDockWidget):
         warnings = [f"⚠ {each}" for each in results["WARNINGS"]]
         self.footer.tell(verdict, paths["report"], results["QUALITY"], [results["FACTS"], *warnings])
         self._open_editor()
-        for role, title in (("tie_points", tr("Tie points")), ("displacements", tr("Displacement"))):
-            layer = core.QgsVectorLayer(f"{paths['geopackage']}|layername={role}", title)
-            self.layers[role] = core.QgsProject.instance().addMapLayer(layer, False)
-            node = group.insertLayer(0, layer)
-            node.setItemVisibilityChecked(role == "tie_points")
-            node.setExpanded(False)
         self.compare_page.setEnabled({"before", "after"} <= set(self.layers))
         self.apply_title.setText(tr("Correct as “{}”:").format(target.name()))
         self.apply_box.show()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from qgis import core, gui
 from qgis.PyQt.QtWidgets import QCheckBox, QFormLayout, QLabel
 
@@ -40,7 +42,7 @@ class Choices(gui.QgsProcessingContextGenerator):
         self._add(form, parameter)
 
     def _add(self, form: QFormLayout, parameter: core.QgsProcessingParameterDefinition) -> None:
-        parameter.setDescription(parameter.description().split(":")[0].split(" (")[0])  # docks are narrow
+        parameter.setDescription(re.split(r"[:,]| \(", parameter.description())[0])  # docks are narrow
         kind = gui.QgsProcessingGui.WidgetType.Standard
         wrapper = gui.QgsGui.processingGuiRegistry().createParameterWidgetWrapper(parameter, kind)
         wrapper.setWidgetContext(self._around)

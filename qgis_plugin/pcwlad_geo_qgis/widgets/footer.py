@@ -92,7 +92,7 @@ class Footer(QtWidgets.QWidget):
         if grade in ("refused", "note"):
             head, rest = re.fullmatch(r"(.+?(?:[.:](?=\s)|(?=\n)|$))(.*)", message, re.DOTALL).groups()
             rest = re.sub(r" ?\(report: .+?\.html?\)", "", rest) if link else rest
-        dark = self.palette().color(self.foregroundRole()).lightness() >= LIGHT
+        dark = self.verdict.palette().color(self.verdict.foregroundRole()).lightness() >= LIGHT
         told = MARKED[grade][dark].format(_rich(head)) + _rich(rest) + link
         self._told += [told, *map(_rich, filter(None, more))]
         self.verdict.setText("<br>".join(self._told))

@@ -28,7 +28,10 @@ class Job:
 
     def made(self) -> core.QgsProcessingAlgorithm:
         """Make the algorithm."""
-        return core.QgsApplication.processingRegistry().createAlgorithmById(self.algorithm)
+        made = core.QgsApplication.processingRegistry().createAlgorithmById(self.algorithm)
+        layer = self.parameters.get("INPUT")
+        made.about = self.name or (layer.name() if layer is not None else "")
+        return made
 
 
 @dataclass(eq=False)
