@@ -28,6 +28,7 @@ from benchmarks.studies.crs import crs
 from benchmarks.studies.cube import cube
 from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
+from benchmarks.studies.flight import flight
 from benchmarks.studies.jitter import jitter
 from benchmarks.studies.metrology import metrology
 from benchmarks.studies.models import models
@@ -82,6 +83,7 @@ STUDIES: dict[str, Study] = {
     "cube": cube,
     "rpcblock": rpcblock,
     "rig": rig,
+    "flight": flight,
 }
 
 
@@ -92,6 +94,7 @@ def main() -> int:
     asked = arguments.part or ()
     studies = STUDIES | {
         "pose": partial(pose, share=arguments.share, parts=[part for part in asked if part in PARTS]),
+        "flight": partial(flight, share=arguments.share),
         "quality": partial(quality, parts=[part for part in asked if part in QUALITY_PARTS]),
     }
     runner = Runner(arguments.jobs)
@@ -122,7 +125,7 @@ def _parse() -> argparse.Namespace:
         help="folder of the real image pairs (default: PCWLAD_GEO_TEST_DATA, or ../shared/data)",
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="pairs at a time")
-    parser.add_argument("--share", type=_share, default=1.0, help="of the cases of the study pose, 0 to 1")
+    parser.add_argument("--share", type=_share, default=1.0, help="of the cases of pose and flight, 0 to 1")
     parser.add_argument(
         "--part",
         choices=[*PARTS, *QUALITY_PARTS],

@@ -34,17 +34,59 @@ BATCH_COLUMNS: Final = ("target", "status", "points", "RMSE px", "shift px", "fo
 NUMERIC_COLUMNS: Final = ("points", "RMSE px", "shift px")
 """Those with numbers, aligned on the right."""
 
+FLIGHT_OPTIONS: Final = ("reference", "photos", "name_column", "within", "photo_size")
+"""Options of a flight index."""
+
 PairTable = Annotated[
     Path,
     o.argument(
-        "PAIRS.csv", "Table, a line a pair: columns reference, target, out_dir and any option of register."
+        "PAIRS.csv",
+        "Table, a line a pair: columns reference, target, out_dir and any option of register. With "
+        "--reference the index of a flight: points or footprints with a column of file names.",
+    ),
+]
+Reference = Annotated[
+    Path | None,
+    o.option(
+        "--reference",
+        help="Look for each photograph of a flight index around its place on this raster.",
+        metavar="FILE",
+    ),
+]
+Photos = Annotated[
+    Path | None,
+    o.option("--photos", help="Folder of the photographs.  [default: that of the index]", metavar="FOLDER"),
+]
+NameColumn = Annotated[
+    str | None,
+    o.option("--name-column", help="Column of their file names.  [default: the one that has them]"),
+]
+Within = Annotated[
+    float,
+    o.option("--within", help="How far they may lie from where the index says.  [default: 300]", metavar="M"),
+]
+PhotoSize = Annotated[
+    float | None,
+    o.option(
+        "--photo-size",
+        help="Longer side of a photograph on the ground, for an index of points.",
+        metavar="M",
     ),
 ]
 
 
 @o.takes_settings("batch")
-def batch(context: typer.Context, pairs: PairTable, out_dir: o.OutDir = None) -> None:
-    """Register the pairs of a table; pairs that an earlier run has finished are kept."""
+def batch(
+    context: typer.Context,
+    pairs: PairTable,
+    out_dir: o.OutDir = None,
+    reference: Reference = None,
+    photos: Photos = None,
+    name_column: NameColumn = None,
+    within: Within = 300.0,
+    photo_size: PhotoSize = None,
+) -> None:
+    """Register the pairs of a table, or old photographs; what an earlier run has finished is kept."""
     params = context.params
     folders: list[Path] = []  # output folders of the pairs, needed if the run is ended by force
     run_guarded(params, lambda on_event: _batch(params, folders, on_event), lambda: _abandon_pairs(folders))
@@ -56,9 +98,16 @@ def _batch(params: Mapping[str, Any], folders: list[Path], on_event: EventCallba
     from pcwlad_geo.multi.batch.table import read_pairs
 
     table_of_pairs, out_dir = params["pairs"], batch_folder(params["pairs"], params["out_dir"])
-    folders += [pair.out_dir for pair in read_pairs(table_of_pairs, out_dir, settings)]
+    flight = {name: params[name] for name in FLIGHT_OPTIONS}
+    if flight["reference"] is None:
+        folders += [pair.out_dir for pair in read_pairs(table_of_pairs, out_dir, settings)]
     result = batch(
-        table_of_pairs, out_dir=out_dir, overwrite=params["overwrite"], on_event=on_event, **settings
+        table_of_pairs,
+        out_dir=out_dir,
+        overwrite=params["overwrite"],
+        on_event=on_event,
+        **flight,
+        **settings,
     )
     if params["debug"]:
         for outcome in result.pairs:
@@ -81,9 +130,13 @@ def _batch_ending(result: BatchResult) -> Ending:
     counts["not_passed"] = sum(outcome.passed is False for outcome in result.pairs)
     summary = result.summary.absolute()
     status = next((STATUS_OF[name] for name in STATUS_OF if counts[name]), 0)
-    figures = {**counts, "pairs": rows, "paths": {"summary": str(summary)}}
+    paths = {"summary": str(summary)}
+    if result.to_place is not None:
+        paths["to_place"] = str(result.to_place.absolute())
+    figures = {**counts, "pairs": rows, "paths": paths}
     counted = ", ".join(f"{count} {STATUS_TEXTS.get(name, name)}" for name, count in counts.items() if count)
-    return Ending(figures, f"{text}\n{visible(counted)}\nsummary: {visible(str(summary))}\n", status)
+    places = "".join(f"{name.replace('_', ' ')}: {visible(path)}\n" for name, path in paths.items())
+    return Ending(figures, f"{text}\n{visible(counted)}\n{places}", status)
 
 
 def pair_table(rows: Sequence[Mapping[str, object]]) -> str:

@@ -22,8 +22,10 @@ from pcwlad_geo.errors import (
 from pcwlad_geo.events import Event, EventCallback, Progress, Warned, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import open_job_runner, register
+from pcwlad_geo.multi.batch.flight import Flight, photos_of
 from pcwlad_geo.multi.batch.summary import SUMMARY, PairOutcome, check_summary, figures_of, summary_writer
-from pcwlad_geo.multi.batch.table import BatchPair, read_pairs
+from pcwlad_geo.multi.batch.table import BatchPair, pairs_of_photos, read_pairs
+from pcwlad_geo.multi.batch.to_place import write_to_place
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
@@ -61,6 +63,8 @@ class BatchResult:
     """Outcomes in the order of the table."""
     summary: Path
     """Path of the summary."""
+    to_place: Path | None = None
+    """Page of the photographs of a flight that are not registered, for placing them by hand."""
 
     def count(self, status: str) -> int:
         """Return the number of pairs with a status."""
@@ -72,6 +76,11 @@ def batch(
     pairs: PathLike,
     *,
     out_dir: PathLike | None = None,
+    reference: PathLike | None = None,
+    photos: PathLike | None = None,
+    name_column: str | None = None,
+    within: float = 300.0,
+    photo_size: float | None = None,
     overwrite: bool = False,
     on_event: EventCallback = ignore,
     executor: Executor | Runner | None = None,
@@ -89,11 +98,23 @@ def batch(
     ----------
     pairs : path
         CSV with one line per pair, columns `reference`, `target`, and optionally `out_dir` and options of
-        `register` by name. Relative paths refer to its folder.
+        `register` by name. Relative paths refer to its folder. With a
+        `reference` it is a flight index: a vector file of points or footprints with a column of file names.
     out_dir : path, optional
         Folder of the summary (`summary.csv`, rewritten after each pair, of hundreds of pairs after each
         percent) and of the pairs' folders that the table does not name; ``<table's stem>_registered`` in
         the working folder by default.
+    reference : path, optional
+        The raster that the photographs of a flight index are registered to. Each is looked for in the part of
+        it around its place; `to_place.html` lists those that are not registered.
+    photos : path, optional
+        Folder of the photographs; by default that of the index.
+    name_column : str, optional
+        Column of their file names; by default the first one with such names.
+    within : float
+        How far, metres, a photograph may lie from where the index says.
+    photo_size : float, optional
+        Length of the longer side of a photograph on the ground, metres: needed of an index of points.
     overwrite : bool
         Process all pairs, and replace the results of earlier runs.
     on_event : callable
@@ -115,27 +136,38 @@ def batch(
     """
     shared = Settings.from_options(options)
     folder = batch_folder(pairs, out_dir)
-    todo = read_pairs(pairs, folder, options)
+    flight = Flight.of(reference, photos, name_column, within, photo_size)
+    of_flight = [] if flight is None else photos_of(pairs, flight)
+    problems = {photo.line: photo.problem for photo in of_flight if photo.problem is not None}
+    every = pairs_of_photos(of_flight, folder, options) if flight else read_pairs(pairs, folder, options)
+    todo = [pair for pair in every if pair.line not in problems]
+    outcomes = [PairOutcome(pair, "unusable", problems[pair.line]) for pair in every if pair.line in problems]
     check_summary(folder / SUMMARY)
     events = _PairEvents(on_event)
-    outcomes: list[PairOutcome] = []
     at_work: list[BatchPair] = []
     with (
         summary_writer(folder / SUMMARY, outcomes, BATCH.summary_step) as keep,
         _swept_if_ended(at_work),
         open_job_runner(shared, executor, on_event) as runner,
     ):
+        _tell(outcomes, events)
         for part in _parts(todo, runner, BATCH.pairs_a_worker):
-            events(Progress("pairs", len(outcomes), len(todo)))
+            events(Progress("pairs", len(outcomes), len(every)))
             at_work[:] = part
-            new_outcomes = _register_part(part, overwrite, events.counted(len(outcomes), len(todo)), runner)
+            new_outcomes = _register_part(part, overwrite, events.counted(len(outcomes), len(every)), runner)
             outcomes += new_outcomes
             keep()
-            for outcome in new_outcomes:
-                if outcome.reason is not None:
-                    events(Warned(f"{outcome.pair.name}: {outcome.status}: {outcome.reason}"))
-    events(Progress("pairs", len(todo), len(todo)))
-    return BatchResult(tuple(outcomes), folder / SUMMARY)
+            _tell(new_outcomes, events)
+    events(Progress("pairs", len(every), len(every)))
+    page = None if flight is None else write_to_place(folder, outcomes, of_flight, flight.reference)
+    return BatchResult(tuple(outcomes), folder / SUMMARY, page)
+
+
+def _tell(outcomes: Sequence[PairOutcome], events: _PairEvents) -> None:
+    """Warn of what is not registered, or does not meet a requirement."""
+    for outcome in outcomes:
+        if outcome.reason is not None:
+            events(Warned(f"{outcome.pair.name}: {outcome.status}: {outcome.reason}"))
 
 
 def batch_folder(pairs: PathLike, out_dir: PathLike | None) -> Path:

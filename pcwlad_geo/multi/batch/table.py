@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any, Final
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.job import output_folder
 from pcwlad_geo.limits import LIMITS, check_count
+from pcwlad_geo.multi.batch.flight import Photo
 from pcwlad_geo.option_text import to_setting
 from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings
 from pcwlad_geo.requirements import parse_requirements
@@ -79,6 +80,22 @@ def read_pairs(table: PathLike, out_dir: PathLike, options: Mapping[str, Any]) -
             pairs.append(_pair(line, cells, folder, place, options))
         except SettingsError as error:
             raise InputError(f"{path}, line {line}: {error}") from error
+    return pairs
+
+
+def pairs_of_photos(
+    photos: Sequence[Photo], out_dir: PathLike, options: Mapping[str, Any]
+) -> list[BatchPair]:
+    """Return the pairs of the photographs of a flight index, as `read_pairs` does those of a table."""
+    keys: set[str] = set()
+    numbers: dict[str, int] = {}
+    settings = Settings.from_options({"prealign": "search", **options})
+    parse_requirements(settings.require, "register")
+    pairs = []
+    for photo in photos:
+        place = _free(Path(out_dir) / output_folder(photo.path, "registered"), keys, numbers)
+        keys.add(_key(place))
+        pairs.append(BatchPair(photo.line, photo.reference, photo.path, place, settings, {}))
     return pairs
 
 
