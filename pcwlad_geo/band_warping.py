@@ -41,8 +41,16 @@ from pcwlad_geo.registration import CorrectedRpc, RpcRegistration, requested_gri
 from pcwlad_geo.registration.inputs import check_placed
 from pcwlad_geo.registration.rpc import correct_other_image
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
+from pcwlad_geo.report.fitted_again import read_precision
 from pcwlad_geo.types import PathLike
-from pcwlad_geo.vector_warping import is_vector, vector_place, warp_vectors
+from pcwlad_geo.vector_warping import (
+    Movement,
+    Precision,
+    is_vector,
+    moved_vectors,
+    vector_place,
+    write_vectors,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +143,7 @@ def warp(
     co: Sequence[str] | None = None,
     resampling: Resampling | None = None,
     inverse: bool = False,
+    write_sigma: bool = False,
     overwrite: bool = False,
     allow_remote: bool = False,
     trust_vrt: bool = False,
@@ -176,6 +185,10 @@ def warp(
         Resampling; by default as in the registration.
     inverse : bool
         Move vectors from where they belong to where the target draws them; there must be no rasters.
+    write_sigma : bool
+        Give each feature of the vectors a field `sigma_m`: the largest standard deviation of its vertices
+        along an axis, metres, by the covariance of the correction, which is fitted again to the tie points of
+        the folder for it.
     overwrite : bool
         Replace files that exist.
     allow_remote, trust_vrt : bool
@@ -208,18 +221,24 @@ def warp(
             raise SettingsError(
                 f"output_raster names a raster, and {vectors[0]} is a vector file: give out_dir"
             )
+        if write_sigma and (sources or finished.target_grid.crs is None):
+            what = f"{sources[0]} is a raster" if sources else "metres need the CRS of the target"
+            raise SettingsError(f"write_sigma is of vectors alone, and {what}: leave it out")
         request, fmt = requested_output(finished, output)
         places = _warped_paths(sources, out_dir, output_raster, fmt.extension)
         moved_places = [vector_place(vector, Path(out_dir or ".")) for vector in vectors]
         check_outputs([*places, *moved_places], names, overwrite=overwrite)
         warp_output = WarpOutput(finished.reference_grid, request, fmt, resampling or finished.resampling)
+        precision = None
+        if write_sigma:
+            precision = Precision(read_precision(registration, finished), finished.target_grid)
+        movement = Movement(finished, None, inverse, precision=precision)
+        moved = moved_vectors(vectors, movement, on_event)
         warped: tuple[Path, ...] = ()
         if sources or not vectors:
             warped = apply(finished, sources, places, warp_output, output_raster is None, overwrite, on_event)
-        moved_vectors = warp_vectors(
-            vectors, moved_places, finished, is_inverse=inverse, overwrite=overwrite, on_event=on_event
-        )
-        return (*warped, *moved_vectors)
+        write_vectors(moved, vectors, moved_places, overwrite=overwrite, on_event=on_event)
+        return (*warped, *moved_places)
 
 
 def apply(

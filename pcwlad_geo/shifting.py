@@ -34,7 +34,7 @@ from pcwlad_geo.raster.output_format import write_cog
 from pcwlad_geo.raster.vectors import checked_vector, read_layers
 from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.types import PathLike
-from pcwlad_geo.vector_warping import is_vector, vector_place, warp_vectors
+from pcwlad_geo.vector_warping import Movement, is_vector, moved_vectors, vector_place, write_vectors
 
 
 class _Place(NamedTuple):
@@ -111,23 +111,17 @@ def shift(
         places |= {name: folder / f"{Path(name).stem}_shifted.{'tif' if copy else 'vrt'}" for name in grids}
         check_outputs([*places.values()], names, overwrite=overwrite)
         movement = _movement(by, angle_deg, about or first.middle_xy)
+        correction = AffineCorrection("affine", np.array(movement[:6]).reshape(2, 3))
+        plane = Grid((1, 1), Affine.identity(), first.crs)
+        moving = FinishedRegistration(correction, plane, plane, GridRequest(), OutputFormat(), "nearest")
+        how = Movement(moving, None, is_inverse=True, everywhere=True)
+        moved_layers = moved_vectors(vectors, how, on_event)
         for number, (name, grid) in enumerate(grids.items()):
             on_event(Progress("rasters", number, len(grids)))
             moved = Grid(grid.shape, vrt.compose(movement, grid.transform), grid.crs)
             _write_raster(name, places[name], moved, copy=copy, overwrite=overwrite)
-        correction = AffineCorrection("affine", np.array(movement[:6]).reshape(2, 3))
-        plane = Grid((1, 1), Affine.identity(), first.crs)
-        moving = FinishedRegistration(correction, plane, plane, GridRequest(), OutputFormat(), "nearest")
         moved_places = [places[name] for name in vectors]
-        warp_vectors(
-            vectors,
-            moved_places,
-            moving,
-            is_inverse=True,
-            everywhere=True,
-            overwrite=overwrite,
-            on_event=on_event,
-        )
+        write_vectors(moved_layers, vectors, moved_places, overwrite=overwrite, on_event=on_event)
     return tuple(places[name] for name in names)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -14,12 +14,16 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
+from pcwlad_geo.correction.dense import in_chunks
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.correction.vertices import densify
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.events import EventCallback, Progress, Warned
+from pcwlad_geo.outputs.displacement_raster import InterpolatedCovariance
 from pcwlad_geo.outputs.folder import place_file, stage_inside
-from pcwlad_geo.raster import WGS84, transform_xy
+from pcwlad_geo.outputs.map_raster import MAP_DEFAULTS
+from pcwlad_geo.raster import WGS84, Grid, pixel_sizes_m, transform_xy
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
 from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers, sqlite_file
 from pcwlad_geo.report.finished import FinishedRegistration
@@ -37,6 +41,37 @@ OTHER_SUFFIXES: Final = (".kml", ".kmz", ".gml", ".gpx", ".dxf", ".tab", ".mif",
 """Further files of vectors, which are written as GeoPackage."""
 STYLE_SUFFIXES: Final = (".qml", ".sld")
 """Styles beside a vector file, which are copied with it."""
+SIGMA_FIELD: Final = "sigma_m"
+"""Field with the largest standard deviation, along an axis, of the vertices of a feature, metres."""
+SIGMA_DIGITS: Final = 4
+"""Decimals of that field."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Precision:
+    """The standard deviation of a correction: interpolated over the target, computed at places beyond it."""
+
+    selection: Selection
+    target: Grid
+
+    def covariance_m2(self, predicted_px: Float64) -> Float64:
+        """Return the (n, 2, 2) covariance (col, row) at the (n, 2) `predicted_px`, m²."""
+        sizes_m = pixel_sizes_m(self.target, predicted_px)
+        if sizes_m is None:
+            raise TypeError("a target without a CRS has no metres")
+        return self.selection.covariance(predicted_px) * sizes_m[:, :, None] * sizes_m[:, None, :]
+
+    def sigma_m(self, predicted_px: Float64) -> Float64:
+        """Return the (n,) standard deviation along an axis, metres, at the (n, 2) `predicted_px`."""
+        most, shape = MAP_DEFAULTS.covariance_nodes, self.target.shape
+        beyond = ((predicted_px < 0) | (predicted_px > shape[::-1])).any(axis=1)
+        covariance_m2 = np.empty((len(predicted_px), 2, 2))
+        if not beyond.all():
+            inside = InterpolatedCovariance.of(self.covariance_m2, shape, most)
+            covariance_m2[~beyond] = inside.at(predicted_px[~beyond])
+        if beyond.any():
+            covariance_m2[beyond] = in_chunks(self.covariance_m2, predicted_px[beyond])
+        return np.asarray(np.sqrt(np.trace(covariance_m2, axis1=1, axis2=2) / 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,22 +85,35 @@ class Movement:
     """Whether positions go back to where the target draws them."""
     everywhere: bool = False
     """Whether the correction is meant for all the ground, not for that of the target alone."""
+    precision: Precision | None = None
+    """That of the correction, where features are to tell it."""
 
     def to_px(self, xy: Float64) -> Float64:
         """Return the (n, 2) target px (col, row) where the original georeferencing shows the (n, 2) `xy`."""
         grid = self.registration.target_grid
         return grid.to_px(xy if self.crs is None else transform_xy(xy, self.crs, grid.crs))
 
-    def __call__(self, xy: Float64) -> Float64:
-        """Return the (n, 2) positions `xy` moved; NaN where the CRS of the target has no such place."""
-        correction, grid = self.registration.correction, self.registration.target_grid
-        place_px = self.to_px(xy)
-        moved_px = np.full_like(place_px, np.nan)
-        valid = np.isfinite(place_px).all(axis=1)
-        move = correction.forward if self.is_inverse else correction.inverse
-        moved_px[valid] = move(place_px[valid])
-        moved_xy = grid.to_xy(moved_px)
-        return moved_xy if self.crs is None else transform_xy(moved_xy, grid.crs, self.crs)
+    def moved_px(self, place_px: Float64) -> Float64:
+        """Return the (n, 2) `place_px` moved."""
+        correction = self.registration.correction
+        return (correction.forward if self.is_inverse else correction.inverse)(place_px)
+
+    def to_xy(self, place_px: Float64) -> Float64:
+        """Return the (n, 2) positions of (n, 2) `place_px`: the inverse of `to_px`."""
+        grid = self.registration.target_grid
+        xy = grid.to_xy(place_px)
+        return xy if self.crs is None else transform_xy(xy, grid.crs, self.crs)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What the vertices of a layer are like."""
+
+    vertices: int = 0
+    beyond: int = 0
+    """Of these, how many lie beyond the target image."""
+    lost: int = 0
+    """How many the CRS of the target has no place for."""
 
 
 def vector_place(source: str, out_dir: Path, what: str = "registered") -> Path:
@@ -89,37 +137,52 @@ def is_vector(source: str) -> bool:
         return False
 
 
-def warp_vectors(
-    sources: Sequence[str],
-    places: Sequence[Path],
-    registration: FinishedRegistration,
-    *,
-    is_inverse: bool,
-    everywhere: bool = False,
-    overwrite: bool,
-    on_event: EventCallback,
-) -> tuple[Path, ...]:
-    """Write copies of vector files whose vertices are moved by a registration; return their `places`.
+def moved_vectors(
+    sources: Sequence[str], movement: Movement, on_event: EventCallback
+) -> list[tuple[VectorLayer, ...]]:
+    """Return the layers of vector files with their vertices moved; nothing is written.
 
-    Layers, attributes, CRS and heights are those of the `sources`, and styles beside them are copied. New
-    vertices are inserted where a moved segment would leave the correction by more than 0.05 px.
+    Layers, attributes, CRS and heights are those of the `sources`. New vertices are inserted where a moved
+    segment would leave the correction by more than 0.05 px. With a precision in the `movement` features get
+    the field `sigma_m`. The CRS of the movement is that of each layer.
 
     Raises `InputError` if a file cannot be read, has no CRS that relates to the target's, or the target has
-    an RPC, and `OutputError` if a copy cannot be written.
+    an RPC.
     """
-    for number, (source, place) in enumerate(zip(sources, places, strict=True)):
+    moved = []
+    for number, source in enumerate(sources):
         on_event(Progress("vectors", number, len(sources)))
+        moved.append(tuple(_moved_layers(source, movement, on_event)))
+    return moved
+
+
+def write_vectors(
+    moved: Sequence[Sequence[VectorLayer]],
+    sources: Sequence[str],
+    places: Sequence[Path],
+    *,
+    overwrite: bool,
+    on_event: EventCallback,
+) -> None:
+    """Write moved layers, those of each file to its place, and the styles that lie beside the `sources`.
+
+    Raises `OutputError` if a file cannot be written; those before it are kept.
+    """
+    for layers, source, place in zip(moved, sources, places, strict=True):
         with stage_inside(place.parent) as stage:
-            movement = Movement(registration, None, is_inverse, everywhere)
-            _write_moved(source, stage / place.name, movement, on_event)
+            for number, layer in enumerate(layers):
+                driver = WRITTEN[place.suffix.lower()]
+                _write_layer(stage / place.name, layer, driver, append=number > 0)
+            for style in (Path(source).with_suffix(suffix) for suffix in STYLE_SUFFIXES):
+                if style.is_file():
+                    shutil.copyfile(style, (stage / place.name).with_suffix(style.suffix))
             for file in sorted(stage.iterdir()):
                 place_file(file, place.with_suffix(file.suffix), overwrite=overwrite)
     if sources:
         on_event(Progress("vectors", len(sources), len(sources)))
-    return tuple(places)
 
 
-def _write_moved(source: str, staged: Path, movement: Movement, on_event: EventCallback) -> None:
+def _moved_layers(source: str, movement: Movement, on_event: EventCallback) -> Iterator[VectorLayer]:
     registration = movement.registration
     if registration.rpc is not None:
         raise InputError(
@@ -130,14 +193,8 @@ def _write_moved(source: str, staged: Path, movement: Movement, on_event: EventC
     layers = read_layers(name)
     if not layers:
         raise InputError(f"{source} has no layers: there is nothing to move")
-    for number, layer in enumerate(layers):
-        movement = replace(movement, crs=_crs_of(layer, name, registration))
-        moved_layer = _moved_layer(layer, movement, name, on_event)
-        _write_layer(staged, moved_layer, WRITTEN[staged.suffix.lower()], append=number > 0)
-    for suffix in STYLE_SUFFIXES:
-        style = Path(source).with_suffix(suffix)
-        if style.is_file():
-            shutil.copyfile(style, staged.with_suffix(suffix))
+    for layer in layers:
+        yield _moved_layer(layer, replace(movement, crs=_crs_of(layer, name, registration)), name, on_event)
 
 
 def _crs_of(layer: VectorLayer, name: str, registration: FinishedRegistration) -> CRS | None:
@@ -168,64 +225,93 @@ def _moved_layer(layer: VectorLayer, movement: Movement, name: str, on_event: Ev
         shapes = np.asarray(shapely.from_wkb(layer.geometry), dtype=object)
     except (shapely.errors.ShapelyError, ValueError) as error:
         raise InputError(f"the layer {layer.name!r} of {name} has a damaged geometry: {error}") from error
-    xy = shapely.get_coordinates(shapes)
-    if len(xy) == 0:
-        return layer
-    rows, cols = movement.registration.target_grid.shape
-    place_px = movement.to_px(xy)
-    if not np.isfinite(place_px).all():
-        lost_count = int((~np.isfinite(place_px).all(axis=1)).sum())
-        raise InputError(
-            f"the layer {layer.name!r} of {name} has {lost_count} vertices that the target's CRS "
-            "cannot hold: clip it to the surroundings of the target (ogr2ogr -clipsrc)"
-        )
-    beyond = int(((place_px < 0) | (place_px > (cols, rows))).any(axis=1).sum())
-    if beyond and not movement.everywhere:
-        on_event(
-            Warned(
-                f"{name}, layer {layer.name!r}: {beyond} of {len(xy)} vertices lie beyond the target image, "
-                "where the correction is extrapolated: check them"
-            )
-        )
-    moved_shapes = np.empty(len(shapes), dtype=object)
+    tally = Tally()
+    moved_shapes, sigma_m = np.empty(len(shapes), dtype=object), np.full(len(shapes), np.nan)
     for kind in np.unique(shapely.get_type_id(shapes)):
         of_kind = shapely.get_type_id(shapes) == kind
-        moved_shapes[of_kind] = _moved(shapes[of_kind], movement)
-    return replace(layer, geometry=np.asarray(shapely.to_wkb(moved_shapes), dtype=object))
+        moved_shapes[of_kind], sigma_m[of_kind] = _moved(shapes[of_kind], movement, tally)
+    if tally.lost:
+        raise InputError(
+            f"the layer {layer.name!r} of {name} has {tally.lost} vertices that the target's CRS "
+            "cannot hold: clip it to the surroundings of the target (ogr2ogr -clipsrc)"
+        )
+    if tally.beyond and not movement.everywhere:
+        on_event(
+            Warned(
+                f"{name}, layer {layer.name!r}: {tally.beyond} of {tally.vertices} vertices lie beyond the "
+                "target image, where the correction is extrapolated: check them"
+            )
+        )
+    layer = replace(layer, geometry=np.asarray(shapely.to_wkb(moved_shapes), dtype=object))
+    return layer if movement.precision is None else _with_sigma(layer, sigma_m, name)
 
 
-def _moved(shapes: NDArray[np.object_], movement: Movement) -> NDArray[np.object_]:
-    """Return geometries of one type, moved; missing and empty ones stay."""
-    if shapely.get_type_id(shapes[0]) == shapely.GeometryType.GEOMETRYCOLLECTION:
-        collections = [shapely.get_parts(shape) for shape in shapes]
-        parts = [
-            [_moved(np.array([part], object), movement)[0] for part in collection]
-            for collection in collections
-        ]
-        return np.array([shapely.GeometryCollection(part) for part in parts], dtype=object)
-    is_filled = ~(shapely.is_missing(shapes) | shapely.is_empty(shapes))
+def _with_sigma(layer: VectorLayer, sigma_m: Float64, name: str) -> VectorLayer:
+    """Return a layer with the standard deviation of each feature as a field; none of an empty one."""
+    if SIGMA_FIELD in map(str.lower, layer.fields):
+        raise InputError(
+            f"the layer {layer.name!r} of {name} has a field {SIGMA_FIELD} already: rename it, or leave out "
+            "--write-sigma"
+        )
+    return replace(
+        layer,
+        fields=(*layer.fields, SIGMA_FIELD),
+        field_types=(*layer.field_types, "float64"),
+        values=(*layer.values, np.round(sigma_m, SIGMA_DIGITS)),
+    )
+
+
+def _moved(
+    shapes: NDArray[np.object_], movement: Movement, tally: Tally
+) -> tuple[NDArray[np.object_], Float64]:
+    """Return geometries of one type, moved, and the (n,) sigma of each; missing and empty ones stay."""
+    sigma_m = np.full(len(shapes), np.nan)
     moved_shapes = shapes.copy()
-    if not is_filled.any():
-        return moved_shapes
-    filled = shapes[is_filled]
-    has_z = shapely.has_z(filled)
-    for z in np.unique(has_z):
-        indices = np.flatnonzero(is_filled)[has_z == z]
-        moved_shapes[indices] = _moved_alike(shapes[indices], movement, has_z=bool(z))
-    return moved_shapes
+    if shapely.get_type_id(shapes[0]) == shapely.GeometryType.GEOMETRYCOLLECTION:
+        for number, shape in enumerate(shapes):
+            parts = [_moved(np.array([part], object), movement, tally) for part in shapely.get_parts(shape)]
+            moved_shapes[number] = shapely.GeometryCollection([part[0] for part, _ in parts])
+            sigma_m[number] = np.fmax.reduce([sigma[0] for _, sigma in parts], initial=np.nan)
+        return moved_shapes, sigma_m
+    is_filled = ~(shapely.is_missing(shapes) | shapely.is_empty(shapes))
+    has_z = shapely.has_z(shapes)
+    for z in np.unique(has_z[is_filled]):
+        indices = np.flatnonzero(is_filled & (has_z == z))
+        moved_shapes[indices], sigma_m[indices] = _moved_alike(shapes[indices], movement, tally, bool(z))
+    return moved_shapes, sigma_m
 
 
-def _moved_alike(shapes: NDArray[np.object_], movement: Movement, *, has_z: bool) -> NDArray[np.object_]:
-    """Return filled geometries of one type, all with or all without heights, moved."""
+def _moved_alike(
+    shapes: NDArray[np.object_], movement: Movement, tally: Tally, has_z: bool
+) -> tuple[NDArray[np.object_], Float64]:
+    """Return filled geometries of one type, all with or all without heights, moved; and their sigmas."""
     kind, vertices, offsets = shapely.to_ragged_array(shapes, include_z=has_z)
+    rows, cols = movement.registration.target_grid.shape
+    place_px = movement.to_px(vertices[:, :2])
+    lost = int((~np.isfinite(place_px).all(axis=1)).sum())
+    tally.vertices, tally.lost = tally.vertices + len(place_px), tally.lost + lost
+    if lost:
+        return shapes, np.full(len(shapes), np.nan)
+    tally.beyond += int(((place_px < 0) | (place_px > (cols, rows))).any(axis=1).sum())
+    of_shape = shapely.get_coordinates(shapes, return_index=True)[1]
+    inserted = np.zeros(len(vertices), dtype=bool)
     is_line = shapely.get_dimensions(shapes[0]) > 0
     correction = movement.registration.correction
     if is_line and not isinstance(correction, AffineCorrection):
-        place_px = movement.to_px(vertices[:, :2])
-        vertices, starts = densify(vertices, place_px, offsets[0].astype(np.intp), correction.forward)
-        offsets = (starts, *offsets[1:])
-    vertices = np.column_stack([movement(vertices[:, :2]), vertices[:, 2:]])
-    return np.asarray(shapely.from_ragged_array(kind, vertices, offsets), dtype=object)
+        # numbers that are no whole ones are those of inserted vertices, which alone have no pixel yet
+        numbered = np.column_stack([vertices, np.arange(len(vertices))])
+        numbered, starts = densify(numbered, place_px, offsets[0].astype(np.intp), correction.forward)
+        vertices, inserted = numbered[:, :-1], numbered[:, -1] % 1 != 0
+        offsets, drawn_px = (starts, *offsets[1:]), place_px
+        place_px = np.empty((len(vertices), 2))
+        place_px[~inserted], place_px[inserted] = drawn_px, movement.to_px(vertices[inserted, :2])
+    moved_px = movement.moved_px(place_px)
+    sigma_m = np.full(len(shapes), np.nan)
+    if movement.precision is not None:
+        predicted_px = (place_px if movement.is_inverse else moved_px)[~inserted]
+        np.fmax.at(sigma_m, of_shape, movement.precision.sigma_m(predicted_px))
+    vertices = np.column_stack([movement.to_xy(moved_px), vertices[:, 2:]])
+    return np.asarray(shapely.from_ragged_array(kind, vertices, offsets), dtype=object), sigma_m
 
 
 def _write_layer(path: Path, layer: VectorLayer, driver: str, *, append: bool) -> None:

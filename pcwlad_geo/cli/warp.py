@@ -42,6 +42,9 @@ WarpedRaster = Annotated[
 Inverse = Annotated[
     bool, o.option("--inverse", help="Move vectors from where they belong to where the target draws them.")
 ]
+Sigma = Annotated[
+    bool, o.option("--write-sigma", help="Give vectors a field sigma_m: the precision of their places.")
+]
 OverwriteRasters = Annotated[bool, o.option("--overwrite", help="Replace files that exist.")]
 
 
@@ -57,6 +60,7 @@ def warp(
     progress: o.ProgressOption = "auto",
     watch_stdin: o.WatchStdin = False,
     inverse: Inverse = False,
+    write_sigma: Sigma = False,
     overwrite: OverwriteRasters = False,
     output_raster: WarpedRaster = None,
     debug: o.Debug = False,
@@ -71,7 +75,7 @@ def warp(
         from pcwlad_geo import band_warping  # slow to load
 
         places: dict[str, Any] = {"out_dir": out_dir, "output_raster": output_raster, "overwrite": overwrite}
-        places["inverse"] = inverse
+        places |= {"inverse": inverse, "write_sigma": write_sigma}
         written = band_warping.warp(registration, rasters, **places, **options, on_event=on_event)
         paths = [str(path.absolute()) for path in written]
         return Ending({"status": "warped", "paths": paths}, visible("".join(f"{path}\n" for path in written)))

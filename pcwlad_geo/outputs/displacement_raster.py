@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -86,7 +86,7 @@ class _Field:
     places: Squares
     correction: Correction
     precision: Selection
-    covariance: _Interpolated
+    covariance: InterpolatedCovariance
     measured: _Measured
     metres: _Metres | None
     """None for px."""
@@ -110,7 +110,9 @@ class _Field:
             metres = _Metres(origin, reference.crs)
         statuses = ("fit", "check", "unused") if settings.points == "dense" else ()
         measured = _Measured.of(registration.tie_points.select(*statuses), places)
-        covariance = _Interpolated.of(selection, target.grid.shape, parameters.covariance_nodes)
+        covariance = InterpolatedCovariance.of(
+            selection.covariance, target.grid.shape, parameters.covariance_nodes
+        )
         return cls(places, correction, selection, covariance, measured, metres)
 
     def values(self, centres: Float64) -> Float64:
@@ -152,22 +154,24 @@ def _spacing_px(selection: Selection, reference: Grid, target: Grid, share: floa
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Interpolated:
+class InterpolatedCovariance:
     """The covariance of a correction, interpolated between nodes: it varies as slowly as the points lie."""
 
     lattice: Lattice
     values_px2: Float64
 
     @classmethod
-    def of(cls, precision: Selection, shape: tuple[int, int], most: int) -> _Interpolated:
-        """Compute the covariance over a target of `shape` (rows, columns), at `most` nodes along an axis."""
+    def of(
+        cls, covariance: Callable[[Float64], Float64], shape: tuple[int, int], most: int
+    ) -> InterpolatedCovariance:
+        """Compute a covariance over a target of `shape` (rows, columns), at `most` nodes along an axis."""
         high = np.array(shape[::-1], dtype=np.float64)
         lattice = Lattice.over(np.zeros(2), high, max(float(high.max()) / (most - 1), 1.0))
-        values = precision.covariance(lattice.nodes_px())
+        values = covariance(lattice.nodes_px())
         return cls(lattice, values.reshape(*lattice.shape, 2, 2))
 
     def at(self, at_px: Float64) -> Float64:
-        """Return the (n, 2, 2) covariance at the (n, 2) predicted target px, px²."""
+        """Return the (n, 2, 2) covariance at the (n, 2) predicted target px `at_px`."""
         (first_col, first_row), (down, across) = self.lattice.origin_px, np.subtract(self.lattice.shape, 1)
         end = first_col + across * self.lattice.step_px[0], first_row + down * self.lattice.step_px[1]
         return self.lattice.interpolated(self.values_px2, np.clip(at_px, (first_col, first_row), end))

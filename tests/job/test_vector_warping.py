@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import struct
 import warnings
 from contextlib import closing
 from dataclasses import replace
@@ -25,7 +26,7 @@ from pcwlad_geo.correction.vertices import DensifyingParameters, densify
 from pcwlad_geo.events import Event
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster import Grid
-from pcwlad_geo.vector_warping import is_vector
+from pcwlad_geo.vector_warping import Movement, is_vector
 from tests.registrations import SHIFT_PX, Make
 
 Array = NDArray[np.float64]
@@ -211,6 +212,92 @@ def test_what_cannot_be_moved_is_told(make: Make) -> None:
     with pytest.raises(OutputError, match="exists: give --overwrite"):
         warp(folder, [source])
     assert not list(Path().glob(".*"))
+
+
+def test_a_file_that_cannot_be_moved_leaves_nothing_written(make: Make) -> None:
+    """All files are read and moved before the first one is written, rasters too."""
+    folder = make()
+    good = write_vectors("good.gpkg", [shapely.Point(xy_of(np.array([9.0, 9])))])
+    Path("cut.geojson").write_text('{"type": "FeatureCollection", "features": [', encoding="utf-8")
+    with pytest.raises(InputError, match=r"cut\.geojson cannot be read"):
+        warp(folder, ["b10.tif", good, "cut.geojson"], out_dir="out")
+    assert not Path("out").exists()
+    places = warp(folder, ["b10.tif", good], out_dir="out")
+    assert [path.is_file() for path in places] == [True, True]
+    assert not list(Path("out").glob(".*"))
+
+
+def test_a_vertex_is_mapped_to_pixels_once(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, original, mapped = make(correction=SPLINE), Movement.to_px, 0
+
+    def counted(movement: Movement, xy: Array) -> Array:
+        nonlocal mapped
+        mapped += len(xy)
+        return original(movement, xy)
+
+    monkeypatch.setattr(Movement, "to_px", counted)
+    line = shapely.LineString(xy_of(np.array([[20.0, 30.0], [580.0, 370.0]])))
+    (path,) = warp(folder, [write_vectors("line.gpkg", [line])])
+    assert mapped == shapely.get_num_coordinates(geometries(path)[0])
+
+
+def test_features_tell_the_precision_of_their_places(make: Make) -> None:
+    """By the tie points' own noise: 0.1 px each, of which 0.6 is common to all; the fit of 81 adds 0.01."""
+    folder = make()
+    near, far = (shapely.Point(place) for place in xy_of(np.array([[300.0, 200.0], [9.0, 9.0]])))
+    line = shapely.LineString([near, far])
+    shapes = [near, line, None, shapely.GeometryCollection([near, line]), shapely.Polygon()]
+    (path,) = warp(folder, [write_vectors("all.gpkg", shapes)], write_sigma=True)
+    about, _, _, values = pyogrio.raw.read(path)
+    assert list(about["fields"]) == ["number", "name", "sigma_m"]
+    sigma_px = values[2] / PIXEL_M
+    np.testing.assert_array_equal(np.isfinite(sigma_px), [True, True, False, True, False])
+    truth_px = np.hypot(0.06, 0.1 / np.sqrt(81))
+    assert np.abs(sigma_px[[0, 1, 3]] - truth_px).max() < 0.01
+
+
+def test_a_precision_that_is_not_known_is_told(make: Make) -> None:
+    folder = make()
+    source = write_vectors("good.gpkg", [shapely.Point(xy_of(np.array([9.0, 9])))])
+    with pytest.raises(SettingsError, match=r"write_sigma is of vectors alone, and b10\.tif is a raster"):
+        warp(folder, ["b10.tif", source], write_sigma=True)
+    (once,) = warp(folder, [source], write_sigma=True, out_dir="once")
+    with pytest.raises(InputError, match="has a field sigma_m already"):
+        warp(folder, [once], write_sigma=True, out_dir="twice")
+    points = folder / "tiepoints.csv"
+    rows = points.read_text(encoding="utf-8").splitlines()
+    column = rows[0].split(",").index("d_col")
+    moved = [row.split(",") for row in rows[1:]]
+    for cells in moved:
+        cells[column] = f"{float(cells[column]) + 1:.6f}"
+    points.write_text("\n".join([rows[0], *map(",".join, moved)]) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"a correction that lies up to (0\.9|1\.0)\d px off"):
+        warp(folder, [source], write_sigma=True, out_dir="edited")
+    points.unlink()
+    with pytest.raises(InputError, match=r"no tiepoints\.csv, from which the sigma"):
+        warp(folder, [source], write_sigma=True, out_dir="missing")
+    assert not any(Path(name).exists() for name in ("twice", "edited", "missing"))
+
+
+def test_curves_and_invalid_geometries_move_as_they_are(make: Make) -> None:
+    """A curve becomes a line, as shapely has none, and nobody repairs a polygon that crosses itself."""
+    drawn_px = np.array([[100.0, 100.0], [150.0, 50.0], [200.0, 100.0]])
+    curve = struct.pack("<BII6d", 1, 8, 3, *xy_of(drawn_px).ravel())  # a half circle
+    pyogrio.raw.write(
+        "curve.gpkg", np.array([curve], object), [], [], geometry_type="Unknown", crs="EPSG:32633"
+    )
+    with closing(sqlite3.connect("curve.gpkg")) as database, database:
+        database.execute("UPDATE gpkg_geometry_columns SET geometry_type_name = 'CIRCULARSTRING'")
+    corners = xy_of(np.array([[10.0, 10], [50, 50], [50, 10], [10, 50], [10, 10]]))
+    bow_tie = shapely.Polygon(corners)
+    curved, crossed = warp(make(), ["curve.gpkg", write_vectors("bow tie.gpkg", [bow_tie])])
+    on_curve_px = px_of(shapely.get_coordinates(geometries(curved)))
+    radius_px = np.hypot(*(on_curve_px - (np.array([150.0, 100.0]) - SHIFT_PX)).T)
+    assert len(radius_px) > 20
+    assert np.abs(radius_px - 50).max() < 0.05
+    (moved,) = geometries(crossed)
+    assert not moved.is_valid
+    np.testing.assert_allclose(px_of(shapely.get_coordinates(moved)), px_of(corners) - SHIFT_PX, atol=1e-6)
 
 
 def test_an_endless_table_of_contents_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
