@@ -46,6 +46,9 @@ def stack_text(result: QaResult) -> str:
     elif result.against:
         lines += ["", "no triangles with --against: closure is not checked"]
     lines += ["", *(_verdict(verdict) for verdict in result.verdicts)] if result.verdicts else []
+    from pcwlad_geo.multi.qa.requirements import ceos_ard_row  # slow to load, unless there is a result
+
+    lines += [ceos_ard_row(each) for each in result.verdicts if each.requirement.preset == "ceos-ard"]
     lines += [f"refused: {pair.name}: {pair.reason}" for pair in result.refused]
     if result.passed is not None:
         lines.append("PASSED" if result.passed else "FAILED")
@@ -133,7 +136,7 @@ PresetOption = Annotated[
     list[str] | None,
     o.option(
         "--preset",
-        help="Requirement of a mission: sentinel2, landsat-oli, landsat-tirs; repeatable.",
+        help="Requirement of a mission: sentinel2, landsat-oli, landsat-tirs, or ceos-ard; repeatable.",
         metavar="NAME",
     ),
 ]

@@ -11,6 +11,7 @@ from pcwlad_geo.multi.qa.closure import Triangle
 from pcwlad_geo.multi.qa.requirements import (
     BandRequirement,
     Judged,
+    ceos_ard_row,
     check_applicable,
     judge_pairs,
     judge_triangles,
@@ -68,7 +69,7 @@ def test_nonsense_is_told(text: str, said: str) -> None:
 
 
 def test_unknown_preset() -> None:
-    with pytest.raises(SettingsError, match="give one of sentinel2, landsat-oli, landsat-tirs"):
+    with pytest.raises(SettingsError, match="give one of sentinel2, landsat-oli, landsat-tirs, ceos-ard"):
         preset_requirements("spot")
 
 
@@ -133,6 +134,18 @@ def test_landsat_presets_are_about_their_pairs() -> None:
         ["b10 – b11"],
         ["red – b10"],
     ]
+
+
+@pytest.mark.parametrize(("shift_px", "word"), [((0.28, -0.4), "met"), ((0.32, -0.4), "not met")])
+def test_the_row_of_ceos_ard(shift_px: tuple[float, float], word: str) -> None:
+    """Half a pixel, radial, of the displacement without the noise: 0.49 px meets it, 0.51 px does not."""
+    (threshold,) = preset_requirements("ceos-ard")
+    judged = judge_pairs(threshold, [make_pair(RED, NIR, shift_px, noise_px=0.1, sigma_px=0.1)])
+    assert judged.passed is (word == "met")
+    assert abs(judged.values["red – nir"] - math.hypot(*shift_px)) < 0.01
+    row = ceos_ard_row(judged)
+    assert f"rRMSE <= 0.5 px | {word} | worst rRMSE 0.{'49' if word == 'met' else '51'} px, red – nir" in row
+    assert "not measured" in ceos_ard_row(judge_pairs(threshold, []))
 
 
 def test_a_preset_is_judged_as_far_as_the_bands_go() -> None:

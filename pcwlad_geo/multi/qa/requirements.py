@@ -15,7 +15,9 @@ from pcwlad_geo.products.landsat import TIRS_M
 from pcwlad_geo.requirements import Figure, Requirement, Unit, judge, parse_requirement, value_of
 
 Scope = Literal["all", "no thermal", "one thermal", "both thermal"]
-Preset = Literal["sentinel2", "landsat-oli", "landsat-tirs"]
+Preset = Literal["sentinel2", "landsat-oli", "landsat-tirs", "ceos-ard"]
+CEOS_ARD: Final = "CEOS-ARD Surface Reflectance PFS 5.0.1, 4.1 Geometric Correction"
+"""Specification and number of the requirement of the preset `ceos-ard`, which the draft of 5.1 repeats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +73,19 @@ PRESETS: Final[dict[Preset, tuple[BandRequirement, ...]]] = {
         _net("LE90", 18.0, "m", "both thermal", "landsat-tirs"),
         _net("LE90", 30.0, "m", "one thermal", "landsat-tirs"),
     ),
+    "ceos-ard": (_net("RMSE", 0.5, "px", "all", "ceos-ard"),),
 }
 """Band-to-band requirements of the missions; they concern the sensor, so matching noise is removed."""
+
+
+def ceos_ard_row(judged: Judged) -> str:
+    """Return the row of a self-assessment against CEOS-ARD: the threshold of relative geometry."""
+    worst = "not measured" if judged.worst is None else f"{judged.worst[1]:.2f} px, {judged.worst[0]}"
+    return (
+        f"{CEOS_ARD} | threshold, relative: sub-pixel, rRMSE <= {judged.requirement.rule.limit:g} px | "
+        f"{'met' if judged.passed else 'not met'} | worst rRMSE {worst}, without matching noise | goal, "
+        "absolute: not assessed"
+    )
 
 
 def read_requirement(text: str) -> BandRequirement:

@@ -92,7 +92,8 @@ def qa(
     against : str, optional
         Compare every band with this one only: its name, description, or the end of it (``B4``).
     preset : sequence of str
-        ``sentinel2``, ``landsat-oli``, ``landsat-tirs``: requirements of the missions.
+        ``sentinel2``, ``landsat-oli``, ``landsat-tirs``: requirements of the missions; ``ceos-ard``: the
+        threshold of relative geometry of CEOS-ARD.
     native_px : sequence of str
         ``NAME=METRES``: native pixel size of the sensor, for files that are resampled.
     mask : path, optional
