@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, Literal, TypedDict
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.arguments import checked
+from pcwlad_geo.basemaps.services import is_service
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
@@ -350,8 +351,13 @@ def write_pair(
                 for kind, place in job.inside.items()
             }
             bands = job.band_paths(folder)
+            if is_service(names[0]) and registration is None:
+                job = _with_basemap(job, staged["basemap"], on_event)
             if registration is None:
                 registration = _run(job, executor, on_event if settings.no_report else _preloading(on_event))
+            read_from = registration.inputs
+            if is_service(names[0]):
+                registration = registration.fetched_to(job.places["basemap"])
             # inside: slow to load, which `_preloading` may have done
             from pcwlad_geo.pair_requirements import judge_requirements
 
@@ -359,13 +365,24 @@ def write_pair(
             registration = replace(registration, decision=replace(registration.decision, requirements=judged))
             with folder.writing():
                 written = write(registration, staged, job.places, job.elsewhere, bands, on_event)
-            check_unchanged(file.identity for file in registration.inputs)
+            check_unchanged(file.identity for file in read_from)
             for kind in written.kinds:
                 if kind in job.elsewhere:
                     put = place_with_files if kind == "raster" else place_file
                     put(staged[kind], job.elsewhere[kind], overwrite=overwrite)
             folder.commit()
     return _reliable(_at_places(job, registration, written, bands))
+
+
+def _with_basemap(job: PairJob, path: Path, on_event: EventCallback) -> PairJob:
+    """Fetch the web map that is the reference of a job; return the job with the file instead."""
+    from pcwlad_geo.basemaps.fetching import fetch  # slow to load, and rarely needed
+
+    settings = fetch(job.names[0], job.inputs, path, on_event)
+    inputs = resolve(str(path), job.names[1], settings, all_bands=job.command == "register")
+    if job.command == "register":
+        check_output(inputs)
+    return replace(job, inputs=inputs)
 
 
 def _at_places(
@@ -399,7 +416,7 @@ def _check_outputs(job: PairJob) -> None:
     check_outputs([*job.places.values()], job.files)
     check_outputs([*job.elsewhere.values()], overwrite=job.overwrite)
     OutputFormat.of(job.settings.of, job.settings.co)
-    if job.command == "register":
+    if job.command == "register" and not is_service(job.names[0]):
         check_output(job.inputs)
 
 

@@ -42,6 +42,13 @@ class Limits:
     pixel_share: float = 1e-11
     """Least pixel size as a share of the map coordinates: a 64-bit number holds 16 digits, and a hundredth of
     a pixel must be resolved."""
+    basemap_tiles: int = 1024
+    """Largest number of tiles of a web map that a run fetches, out of regard for the server: 67 million
+    pixels."""
+    basemap_zoom: int = 24
+    """Largest zoom of a web map, pixels of 9 mm."""
+    tile_bytes: int = 2**24
+    """Largest size of a tile of a web map as it comes."""
     pixel_ratio: float = 1000.0
     """Largest ratio of the pixel sizes of two rasters, beyond which they share no structure."""
     pixel_shape: float = 16.0

@@ -205,6 +205,15 @@ class Settings:
     )
     """GDAL geotransform of the target in the reference's CRS, which stands for the georeferencing that the
     target has or lacks: x and y of the corner of the first pixel are the first and fourth number."""
+    ref_zoom: int | None = option(
+        None,
+        "Zoom of a web map as reference; auto: pixels about as large as the target's.",
+        _WRITING,
+        metavar="N|auto",
+        none_word="auto",
+        least=1,
+        most=LIMITS.basemap_zoom,
+    )
     dem: Path | str | None = option(
         None, "Heights of the ground, for images with RPCs.", _PLACED, metavar="FILE"
     )
@@ -547,6 +556,7 @@ class PairOptions(TypedDict, total=False):
     exclude: Path | str | None
     tie_points: Path | str | None
     place: Geotransform | None
+    ref_zoom: int | None
     dem: Path | str | None
     dem_vertical: float | Path | str | None
     trust_rpc: bool

@@ -93,6 +93,7 @@ class Outcome:
         """Return the values of the result event."""
         return {
             **{name: plain(getattr(self.report, name)) for name in FIGURES},
+            "basemap": plain(self.report.reference.basemap),
             "model_name": self.report.model.name if self.report.model else None,
             "paths": {kind: str(path.absolute()) for kind, path in self.paths.items()},
         }
@@ -114,7 +115,10 @@ class Outcome:
         elif displacement:
             col, row = displacement.median
             lines.append(f"median displacement: {col:+.3f} px in column, {row:+.3f} px in row")
-        lines += [*self._accuracy(), *self._table(), *self._quality(), *self._requirements()]
+        lines += [*self._accuracy(), *self._table(), *self._quality()]
+        if basemap := self.report.reference.basemap:
+            lines.append(f"all this is relative to the basemap {basemap.text}")
+        lines += self._requirements()
         lines.append(f"report: {self.paths.get('report', self.paths['numbers'])}")
         return "\n".join(lines) + "\n"
 

@@ -153,5 +153,6 @@ def _draw(
     if not registration.settings.no_report:
         from pcwlad_geo.report.page import compose
 
-        drawings = compose(registration, report, gcps, precision)
+        shown = replace(registration, reference=registration.fetched or registration.reference)
+        drawings = compose(shown, report, gcps, precision)
     return report, drawings, time.perf_counter() - since

@@ -1,5 +1,6 @@
 from .arrays import georeferencing_of
 from .bands import Bands
+from .basemap import Basemap
 from .crs import WGS84, transform_xy
 from .file_tree import FileTree, file_name, is_folder, plain_name
 from .grid import Grid, Window, jacobian, map_px, middle_pixel_size_m, pixel_sizes_m
@@ -22,6 +23,7 @@ from .warping import warp
 __all__ = [
     "WGS84",
     "Bands",
+    "Basemap",
     "Dem",
     "FileIdentity",
     "FileTree",

@@ -20,6 +20,7 @@ from pcwlad_geo.estimation.plausible import ALL_VALUES, Limits
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.areas import Areas, read_areas
 from pcwlad_geo.raster.bands import BandPart, Bands
+from pcwlad_geo.raster.basemap import Basemap, basemap_of
 from pcwlad_geo.raster.cameras import Camera, camera_of
 from pcwlad_geo.raster.collars import Collar
 from pcwlad_geo.raster.crs import name_of, transformation_warnings
@@ -94,6 +95,8 @@ class RasterInfo:
     """Values of the band beyond these count as nodata, see `undeclared.without_extremes`."""
     content: str = ""
     """Digest of the versions of the files (`identity.digest`), to detect changes; empty where unknown."""
+    basemap: Basemap | None = None
+    """What the file is a copy of, if that is a web service."""
     several: Bands | None = None
     """The bands, where there are several, with their weights, see `combined_bands.with_bands`."""
 
@@ -148,6 +151,7 @@ def describe(
             plane_transform=plane_transform_of(uri, dataset),
             camera=camera_of(dataset) if grid.crs is None else None,
             brightness=_brightness_of(dataset, band),
+            basemap=basemap_of(dataset, grid),
         )
     if info.mask_uri is not None:
         described = describe(info.mask_uri)

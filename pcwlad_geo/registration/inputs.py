@@ -23,6 +23,7 @@ from pcwlad_geo.raster import (
     Grid,
     GridRequest,
     OutputFormat,
+    RasterInfo,
     RpcGrid,
     describe,
     identify,
@@ -88,6 +89,10 @@ class Inputs:
     """Other bands of the target's product that are to be corrected."""
     target_file: str = ""
     """The band's file of the target, of several bands that of the first: outputs are named after it."""
+
+    def target_beside(self, reference: RasterInfo) -> RasterInfo:
+        """Return the target as the settings place it on the ground of a reference, or do not."""
+        return place_pair(reference, describe(self.target, part=True), self.settings).target
 
 
 def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_bands: bool = False) -> Inputs:

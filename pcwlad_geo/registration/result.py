@@ -7,7 +7,7 @@ A `Pair` are two rasters ready to be matched, `Matches` are its tie points befor
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -257,8 +257,21 @@ class Registration(Shown):
     """Of tie points of a file; None of those that were matched."""
     proof: Proof | None = None
     """The tool's own error on the pair, where that was asked for."""
+    fetched: RasterInfo | None = None
+    """Of a reference from a web map: where its file lies until the output folder is complete."""
     outputs: Mapping[str, Path] = field(default_factory=dict)
     """The files written, by kind: raster, report, tiepoints, and so on; none where nothing was."""
+
+    def fetched_to(self, place: Path) -> Registration:
+        """Return it with the final place of a reference that was fetched, as its files name it."""
+        final = str(place.absolute())
+        inputs = tuple(
+            replace(file, identity=replace(file.identity, path=final)) if file.role == "reference" else file
+            for file in self.inputs
+        )
+        return replace(
+            self, reference=replace(self.reference, uri=final), fetched=self.reference, inputs=inputs
+        )
 
     def _more(self) -> dict[str, str]:
         outputs = ", ".join(map(str, self.outputs.values())) or "none"

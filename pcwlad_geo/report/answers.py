@@ -97,6 +97,8 @@ def _accuracy_answer(
         ground = "common ground" if whole is None else "ground that was compared"
         text += f" 90 % of the {ground} is expected to lie within {_px(expected)}"
         text += "." if whole is None else f", and of all that both show within {_px(whole)}."
+    if report.reference.basemap:
+        text += f" All this is relative to the basemap {report.reference.basemap.text}."
     state: State = "good" if ce90 <= GOOD_PX else "caution" if ce90 <= FAIR_PX else "bad"
     if ce90 >= before:
         state = "bad" if state == "bad" else "caution"

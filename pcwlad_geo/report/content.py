@@ -13,7 +13,7 @@ from pcwlad_geo.correction.error_statistics import Accuracy, Amount, Count, Floa
 from pcwlad_geo.correction.jitter import Peak, Profile
 from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster import RpcModel
+from pcwlad_geo.raster import Basemap, RpcModel
 from pcwlad_geo.raster.bands import BandPart
 from pcwlad_geo.registration import (
     Grade,
@@ -93,6 +93,8 @@ class ReferenceEntry(RasterEntry):
 
     ground: GridEntry | None
     """The grid onto which a reference with RPC is orthorectified; null for any other."""
+    basemap: Basemap | None
+    """The web map that the reference is a copy of, to which the accuracy is relative; null for any other."""
 
 
 @dataclass(frozen=True, slots=True)

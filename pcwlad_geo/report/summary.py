@@ -133,7 +133,7 @@ def _grid(grid: Grid) -> GridEntry:
 def reference_entry(info: RasterInfo) -> ReferenceEntry:
     """Return the reference; with an RPC, also the grid onto which it is orthorectified."""
     ground = _grid(ground_grid(info.grid)) if isinstance(info.grid, RpcGrid) else None
-    return filled(ReferenceEntry, raster_entry(info), ground=ground)
+    return filled(ReferenceEntry, raster_entry(info), ground=ground, basemap=info.basemap)
 
 
 def raster_entry(info: RasterInfo) -> RasterEntry:
