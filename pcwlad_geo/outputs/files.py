@@ -16,7 +16,7 @@ from pcwlad_geo.outputs.geometric_accuracy import GeometricAccuracy
 from pcwlad_geo.outputs.map_raster import write_sigma
 from pcwlad_geo.outputs.pair_item import write_item
 from pcwlad_geo.outputs.proj_grid import write_proj_grid
-from pcwlad_geo.raster import Grid, OutputFormat, RpcModel, as_in_file, vrt
+from pcwlad_geo.raster import Grid, OutputFormat, RpcModel, vrt
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
 from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.tiepoints.csv_file import write_csv
@@ -239,7 +239,7 @@ def _of_format(form: TiePointFormat) -> Output | None:
     def write_table(job: Writing, path: Path) -> None:
         registration = job.registration
         reference, target = registration.reference, registration.target
-        target = as_in_file(target)  # as QGIS shows it
+        target = target.as_in_file()  # as QGIS shows it
         on_map = target.georeferenced and registration.rpc is None
         with FORMATS.blamed(form):
             rasters = PointRasters(reference, target, on_map, job.places[form.name])

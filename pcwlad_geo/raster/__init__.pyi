@@ -9,7 +9,7 @@ from .matching_grid import ViewPair, plan_views
 from .opening import open_raster
 from .output_format import OutputFormat
 from .output_grid import GridRequest, output_grids
-from .placed import as_in_file, place_by_hand
+from .placed import place_by_hand
 from .rpc.dem import Dem
 from .rpc.files import RpcSource, read_rpc
 from .rpc.grid import RpcGrid, at_mean_height
@@ -40,7 +40,6 @@ __all__ = [
     "View",
     "ViewPair",
     "Window",
-    "as_in_file",
     "at_mean_height",
     "check_unchanged",
     "describe",

@@ -9,7 +9,7 @@ from affine import Affine
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.georeferencing import check_place
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.source import RasterInfo, describe
+from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.raster.vrt import compose
 
 
@@ -46,8 +46,3 @@ def place_by_hand(
         target, grid=grid, mask_grid=mask, georeferenced=True, plane_transform=None, gcp_misfit_px=None
     )
     return reference, placed
-
-
-def as_in_file(info: RasterInfo) -> RasterInfo:
-    """Return a raster as its file places it, or not, where the user has placed it."""
-    return describe(info.uri, band=info.band, part=True) if info.grid.by_hand else info

@@ -100,6 +100,10 @@ class RasterInfo:
     several: Bands | None = None
     """The bands, where there are several, with their weights, see `combined_bands.with_bands`."""
 
+    def as_in_file(self) -> RasterInfo:
+        """Return the raster as its file places it, or not, where the user has placed it."""
+        return describe(self.uri, band=self.band, part=True) if self.grid.by_hand else self
+
 
 def bands_of(info: RasterInfo) -> Bands:
     """Return the bands that are read: the one, or several."""

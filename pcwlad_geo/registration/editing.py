@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.matching import MatchSettings, match_arrays
 from pcwlad_geo.matching.first_pass import margin_px
-from pcwlad_geo.raster import Window, as_in_file, file_px_per_px
+from pcwlad_geo.raster import Window, file_px_per_px
 from pcwlad_geo.registration.fitting import footprint_px
 from pcwlad_geo.registration.point_file import user_points
 from pcwlad_geo.registration.result import Pair
@@ -149,7 +149,7 @@ class Editor:
         if path.suffix == ".csv":
             write_csv(table, path)
         else:
-            target = as_in_file(target)
+            target = target.as_in_file()
             write_points(table, path, target.georeferenced, target.grid)
 
     @property

@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import RasterInfo, RpcGrid, ViewPair, as_in_file, transform_xy
+from pcwlad_geo.raster import RasterInfo, RpcGrid, ViewPair, transform_xy
 from pcwlad_geo.raster.crs import name_of
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -105,7 +105,7 @@ def _readings(points: PointFile, side: Literal["reference", "target"], info: Ras
     # QGIS: layer coordinates of a georeferenced source, (col, -row) of any other, and of either by
     # programs that do not distinguish them.
     # A source with an RPC has no layer coordinates.
-    info = as_in_file(info)
+    info = info.as_in_file()
     plane = points.target * [1.0, -1.0]
     on_map = info.georeferenced and not isinstance(info.grid, RpcGrid)
     return [info.grid.to_px(points.target), plane] if on_map else [plane]
