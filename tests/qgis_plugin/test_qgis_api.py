@@ -33,6 +33,7 @@ REMOVED_IN_QT6 = {
 NO_ENUM = {
     "CheckState",  # called, to make one of a number
     "LayerDetails",  # a class in QgsProcessingContext
+    "LayerData",  # a class in QgsInterpolator
 }
 """Names with a capital that are no members of an enum, directly below a class."""
 NOT_IN_STUBS = {"QgsProcessingException", "QgsCsException"}
@@ -41,7 +42,7 @@ NOT_IN_STUBS = {"QgsProcessingException", "QgsCsException"}
 """Exceptions, which the stubs leave out."""
 MOVED_TO_QTGUI = {"QAction"}
 """What `qgis.PyQt.QtWidgets` brings along in Qt 6, as it was there in Qt 5."""
-MOST_LINES = 3635
+MOST_LINES = 3841
 ENGINE_FACING = sorted((PLUGIN / "process").glob("*.py"))
 
 

@@ -1420,6 +1420,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>{} kann nicht geschrieben werden.</translation>
     </message>
     <message>
+      <source>Residuals, target pixels</source>
+      <translation>Residuen, Zielpixel</translation>
+    </message>
+    <message>
       <source>The layer “{}” has the CRS {} in QGIS, but its file says {}. That of QGIS is used.</source>
       <translation>Der Layer „{}“ hat in QGIS das KBS {}, aber seine Datei sagt {}. Das von QGIS wird benutzt.</translation>
     </message>
@@ -1826,6 +1830,34 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Blink</source>
       <translation>Blinken</translation>
+    </message>
+    <message>
+      <source>The reference in red and the result in cyan: grey where they agree.</source>
+      <translation>Die Referenz in Rot und das Ergebnis in Cyan: grau, wo sie übereinstimmen.</translation>
+    </message>
+    <message>
+      <source>Red and cyan</source>
+      <translation>Rot und Cyan</translation>
+    </message>
+    <message>
+      <source>The edges of the reference, in red over the result.</source>
+      <translation>Die Kanten der Referenz, in Rot über dem Ergebnis.</translation>
+    </message>
+    <message>
+      <source>Edges</source>
+      <translation>Kanten</translation>
+    </message>
+    <message>
+      <source>A map of what is left at the tie points, in target pixels.</source>
+      <translation>Eine Karte dessen, was an den Passpunkten übrig ist, in Zielpixeln.</translation>
+    </message>
+    <message>
+      <source>Residuals</source>
+      <translation>Residuen</translation>
+    </message>
+    <message>
+      <source>Hold Space on the map to see the reference alone.</source>
+      <translation>Halten Sie auf der Karte die Leertaste, um die Referenz allein zu sehen.</translation>
     </message>
     <message>
       <source>The correction that is fitted; the RMSE is that at the check points, which no fit uses.</source>

@@ -12,6 +12,7 @@ from qgis.PyQt import QtCore, QtGui, QtWidgets, uic
 from ..algorithms.base import temporary_folder
 from ..help import DRAWN, MORE_LAYERS, NEEDS_TRUST, OTHER_BANDS
 from ..model import settings
+from ..model.heat import heat_map
 from ..model.rasters import file_behind, other_raster
 from ..model.results import add_group, add_raster, show_results, unused
 from ..process.advice import report_in
@@ -25,6 +26,7 @@ from .footer import Footer
 from .place_page import PlacePage
 from .runner import Job, Runner
 from .session import Session
+from .views import Views
 
 NAMES = ("register", "apply", "applyvectors", "installengine")
 REGISTER, APPLY, MOVE, INSTALL = (f"pcwlad_geo:{name}" for name in NAMES)
@@ -94,6 +96,10 @@ class AlignDock(gui.QgsDockWidget):
         self.given_button.clicked.connect(self._choose_points)
         for button in (self.open_button, self.open_points_button):
             button.clicked.connect(lambda: self.open_earlier())
+        composed = {"red_cyan": self.red_cyan_button, "edges": self.edges_button}
+        others = self.swipe_button, self.blink_button
+        self.views = Views(self._canvas, self._bridge, composed, others, lambda: self.layers)
+        self.heat_button.toggled.connect(self._show_heat)
         self.swipe.setButton(self.swipe_button)
         self.swipe_button.toggled.connect(self._swipe)
         self.blink_button.toggled.connect(self._blink)
@@ -328,6 +334,7 @@ class AlignDock(gui.QgsDockWidget):
     def _load(self, job: Job, results: dict[str, Any]) -> None:
         """Load the results, grouped, with the target's own style and name."""
         self._close_editor()
+        self.heat_button.setChecked(False)
         if self.tabs.currentWidget() is self.place:
             self.tabs.setCurrentIndex(ALIGN)  # it lies where it belongs
         self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
@@ -385,6 +392,7 @@ class AlignDock(gui.QgsDockWidget):
             self.editor.rest()
         pair = self.target.currentLayer(), self.reference.currentLayer()
         self.place.begin(*pair) if self.tabs.currentWidget() is self.place else self.place.end()
+        self.views.active = page == COMPARE
         self._bridge.setCanvasLayers()
 
     def _show_page(self, layers: list[core.QgsMapLayer]) -> None:
@@ -402,6 +410,10 @@ class AlignDock(gui.QgsDockWidget):
         for role in gone:
             del self.layers[role]
         self.place.forget(ids)
+        if "heat" in gone:
+            self.heat_button.setChecked(False)
+        if "reference" in gone:
+            self.views.stop()
         if gone & {"before", "after"}:
             self._stop_comparing()
             self.compare_page.setEnabled(False)
@@ -416,8 +428,19 @@ class AlignDock(gui.QgsDockWidget):
         self.layers = {}
 
     def _stop_comparing(self) -> None:
-        for button in (self.swipe_button, self.blink_button):
-            button.setChecked(False)
+        self.views.stop()
+        self.heat_button.setChecked(False)
+
+    def _show_heat(self, on: bool) -> None:
+        """Add a map of the residuals above the result, or take it away."""
+        project = core.QgsProject.instance()
+        if not on and "heat" in self.layers:
+            project.removeMapLayer(self.layers["heat"].id())
+        elif on and "tie_points" in self.layers:
+            layer = heat_map(self.layers["tie_points"], str(temporary_folder() / "residuals.asc"))
+            if layer is not None:
+                self.layers["heat"] = project.addMapLayer(layer, False)
+                add_group(self._group, anew=False).insertLayer(0, layer)
 
     def _other(self) -> list[core.QgsMapLayer]:
         """Return what the result is compared with: the reference, or the layer as it was."""

@@ -6,7 +6,7 @@ from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui
 
 
-class _Curtain(gui.QgsMapCanvasItem):
+class Curtain(gui.QgsMapCanvasItem):
     """Draws another map over the left part of the canvas."""
 
     def __init__(self, canvas: gui.QgsMapCanvas) -> None:
@@ -18,13 +18,14 @@ class _Curtain(gui.QgsMapCanvasItem):
     def paint(self, painter: QtGui.QPainter, option: object = None, widget: object = None) -> None:
         if self.image.isNull():
             return
-        width, height = self._canvas.width(), self._canvas.height()
+        ratio = self.image.devicePixelRatio()  # not the canvas', which has a frame
+        width, height = self.image.width() / ratio, self.image.height() / ratio
         edge = self.share * width
         part = QtCore.QRectF(0, 0, self.share * self.image.width(), self.image.height())
         painter.drawImage(QtCore.QRectF(0, 0, edge, height), self.image, part)
-        for colour, thickness in (("white", 3), ("black", 1)):
+        for colour, thickness in (("white", 3), ("black", 1)) if self.share < 1 else ():
             painter.setPen(QtGui.QPen(QtGui.QColor(colour), thickness))
-            painter.drawLine(int(edge), 0, int(edge), height)
+            painter.drawLine(int(edge), 0, int(edge), int(height))
 
     def boundingRect(self) -> QtCore.QRectF:
         return QtCore.QRectF(0, 0, self._canvas.width(), self._canvas.height())
@@ -37,7 +38,7 @@ class SwipeTool(gui.QgsMapTool):
         super().__init__(canvas)
         self.setCursor(QtCore.Qt.CursorShape.SplitHCursor)
         self._layers: list[core.QgsMapLayer] = []
-        self._curtain: _Curtain | None = None
+        self._curtain: Curtain | None = None
         self._job: core.QgsMapRendererParallelJob | None = None
 
     def show(self, layers: list[core.QgsMapLayer]) -> None:
@@ -49,7 +50,7 @@ class SwipeTool(gui.QgsMapTool):
 
     def activate(self) -> None:
         super().activate()
-        self._curtain = _Curtain(self.canvas())
+        self._curtain = Curtain(self.canvas())
         self.canvas().extentsChanged.connect(self._draw)
 
     def deactivate(self) -> None:

@@ -1,0 +1,74 @@
+"""Ways to look at a result beside swipe and blink: red and cyan, edges, the reference while Space is held."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Callable
+
+from qgis import core, gui
+from qgis.PyQt import QtCore, QtWidgets
+
+from .composite import Composite
+
+
+class Views(QtCore.QObject):
+    """Buttons of ways to look, of which one is on at most, and the key that shows the reference alone."""
+
+    def __init__(
+        self,
+        canvas: gui.QgsMapCanvas,
+        bridge: gui.QgsLayerTreeMapCanvasBridge,
+        composed: Mapping[str, QtWidgets.QAbstractButton],
+        others: tuple[QtWidgets.QAbstractButton, ...],
+        layers: Callable[[], Mapping[str, core.QgsMapLayer]],
+    ) -> None:
+        """Take what `layers` returns for the result: `after`, and `reference` where the project has it."""
+        super().__init__(canvas)
+        self._canvas, self._bridge = canvas, bridge
+        self.composite = Composite(canvas)
+        self._layers = layers
+        self._buttons = (*composed.values(), *others)
+        self._held = False
+        for button in self._buttons:
+            button.toggled.connect(lambda on, button=button: self._alone(button) if on else None)
+        for way, button in composed.items():
+            button.toggled.connect(lambda on, way=way: self._turn(way, on))
+        self.active = False
+        """Whether the page is shown: Space is the map's own elsewhere."""
+        canvas.installEventFilter(self)
+
+    def stop(self) -> None:
+        """Show the map as it is."""
+        for button in self._buttons:
+            button.setChecked(False)
+
+    def _alone(self, chosen: QtWidgets.QAbstractButton) -> None:
+        for button in self._buttons:
+            if button is not chosen:
+                button.setChecked(False)
+
+    def _turn(self, way: str, on: bool) -> None:
+        layers = self._layers()
+        if on and {"after", "reference"} <= set(layers):
+            self.composite.show(way, [layers["after"]], [layers["reference"]])
+        else:
+            self.composite.hide()
+
+    def eventFilter(self, watched: QtCore.QObject, event: QtCore.QEvent) -> bool:
+        """Show the reference alone while Space is held."""
+        kind, press = event.type(), QtCore.QEvent.Type.KeyPress
+        if kind not in (press, QtCore.QEvent.Type.KeyRelease) or event.key() != QtCore.Qt.Key.Key_Space:
+            return False
+        mine = self._held or (self.active and "reference" in self._layers())
+        if mine and not event.isAutoRepeat():
+            self.hold(kind == press)
+        return mine
+
+    def hold(self, held: bool) -> None:
+        """Show the reference alone, or what was shown before."""
+        self._held = held
+        self.composite.set_visible(not held)
+        if held:
+            self._canvas.setLayers([self._layers()["reference"]])
+        else:
+            self._bridge.setCanvasLayers()
