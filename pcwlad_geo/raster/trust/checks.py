@@ -11,6 +11,7 @@ from rasterio.io import DatasetReader
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.trust.destinations import destination
 from pcwlad_geo.raster.trust.file_kinds import HEAD_BYTES, SIGNED_DRIVERS, Kind, kind_of_head
+from pcwlad_geo.raster.trust.hdf5 import reason_against
 from pcwlad_geo.raster.trust.local_files import Place, Stamp, UntrustedFileError
 from pcwlad_geo.raster.trust.vrt_elements import UntrustedVrtError, files_named_by, parse_vrt
 
@@ -53,7 +54,9 @@ def _checked(file: Place, visited: set[Place], *, any_driver: bool) -> Kind:
         return "other"  # checked already, a folder that the user has named, or nothing
     visited.add(file)
     kind = _kind(file, stamp)
-    if any_driver and kind not in ("signed", "vrt", "classic netCDF"):
+    if kind == "HDF5" and (reason := reason_against(file)):
+        raise UntrustedFileError(f"{file.uri}: {reason}" if any_driver else reason)
+    if any_driver and kind not in ("signed", "vrt", "classic netCDF", "HDF5"):
         raise UntrustedFileError(f"it needs {file.uri}, which is no raster of a common format")
     if kind == "vrt":
         _check_vrt(file, visited)

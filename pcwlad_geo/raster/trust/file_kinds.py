@@ -19,6 +19,8 @@ PLAIN_DRIVERS: Final = (
     *("USGSDEM", "XYZ", "GTX", "BYN", "ISG", "NGSGEOID", "NTv2", "GRIB", "BT"),
 )
 """Drivers whose files name no others: headers and similar files are found by the file's own name."""
+_HDF5_DRIVERS: Final = ("netCDF", "HDF5", "HDF5Image")
+"""Drivers of files that were checked (`hdf5.reason_against`): they open no other file."""
 NETWORK_DRIVERS: Final = (
     *("WMS", "WMTS", "WCS", "HTTP", "EEDA", "EEDAI", "OGCAPI", "PLMOSAIC", "DAAS", "NGW", "STACIT", "STACTA"),
     *("PostGISRaster", "GEOR", "Rasdaman"),
@@ -52,12 +54,9 @@ def kind_of_head(head: bytes) -> Kind:
 
 
 def drivers_for(kind: Kind) -> tuple[str, ...]:
-    """Return the drivers that may open an untrusted file of a kind; none for HDF5.
-
-    HDF5, and with it netCDF-4, may refer to any file of the machine (external storage, links).
-    """
+    """Return the drivers that may open an untrusted file of a kind, which was checked."""
     if kind == "vrt":
         return ("VRT",)
     if kind == "HDF5":
-        return ()
+        return _HDF5_DRIVERS
     return (*PLAIN_DRIVERS, "netCDF") if kind == "classic netCDF" else PLAIN_DRIVERS
