@@ -321,8 +321,19 @@ def test_a_name_cannot_lead_elsewhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("text_alone")
-@pytest.mark.parametrize("name", ["S2A_MSIL2A_20230614T104621.tif", "x/S2B_T32TLQ.SAFE/T32TLQ_B04.jp2"])
-def test_satellites_are_told_by_their_names(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "series"),
+    [
+        ("S2A_MSIL2A_20230614T104621.tif", "S2A"),
+        ("x/S2B_T32TLQ.SAFE/T32TLQ_B04.jp2", "S2B"),
+        # published: both are of relative orbit 30
+        ("S1A_IW_GRDH_1SDV_20170909T175748_20170909T175813_018302_01EC88_98A1.SAFE", "S1A R030"),
+        ("S1B_IW_GRDH_1SDV_20170903T175659_20170903T175724_007231_00CBEF_874B.zip", "S1B R030"),
+        ("s1a-iw-grd-vv-20170909t175748-20170909t175813-018302-01ec88-001.tiff", "S1A R030"),
+        ("S1C_IW_GRDH_1SDV_20250909T175748_20250909T175813_004203_01EC88_98A1.SAFE", "S1C orbit 3 of 175"),
+    ],
+)
+def test_satellites_are_told_by_their_names(name: str, series: str, tmp_path: Path) -> None:
     images = make_images(4)
     folder = make_stack(tmp_path, images)
     numbers = json.loads((folder / "stack.json").read_text())
@@ -330,7 +341,7 @@ def test_satellites_are_told_by_their_names(name: str, tmp_path: Path) -> None:
         entry["given"]["path"] = name
     (folder / "stack.json").write_text(json.dumps(numbers))
     found = watch(folder, out_dir=tmp_path / "out")
-    assert [series.name for series in found.series] == [name[name.index("S2") :][:3]]
+    assert [each.name for each in found.series] == [series]
 
 
 def test_the_page_shows_a_moving_place_over_time(tmp_path: Path) -> None:

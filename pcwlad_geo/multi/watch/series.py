@@ -25,6 +25,15 @@ from pcwlad_geo.multi.watch.numbers import (
 )
 from pcwlad_geo.types import Float64
 
+_RADAR_ORBIT: Final = re.compile(
+    r"(?<![A-Za-z0-9])(S1[A-D])(?:[-_]\w{2,4}){2,4}?[-_]\d{8}T\d{6}[-_]\d{8}T\d{6}[-_](\d{6})(?!\d)",
+    re.IGNORECASE,
+)
+"""The satellite and the number of the orbit in the name of a product of Sentinel-1, or of its image."""
+_ORBITS: Final = 175
+"""Orbits of Sentinel-1 until it comes over the same ground again."""
+_FIRST_ORBIT: Final = {"S1A": 73, "S1B": 27}
+"""An orbit whose relative number is 1."""
 SATELLITE: Final = re.compile(r"(?<![A-Za-z0-9])(S[1-3][A-D]|L[COTEM]0[4-9])(?![A-Za-z0-9])")
 """The satellite in the name of a product: Sentinel or Landsat."""
 
@@ -46,8 +55,20 @@ def images_by_series(images: Sequence[DatedImage]) -> dict[str, list[DatedImage]
 
 
 def _satellite(image: StackInput) -> str:
-    """Return the satellite that the name or the path of an image tells; nothing where they do not."""
+    """Return the satellite that the name or the path of an image tells; nothing where they do not.
+
+    Of Sentinel-1 it is the satellite and its relative orbit, as radar sees the ground from another side in
+    each: hills and walls lie elsewhere.
+    """
     parts = (image.name, *reversed(Path(image.path).parts))
+    radar = next(filter(None, map(_RADAR_ORBIT.search, parts)), None)
+    if radar is not None:
+        satellite, orbit = radar[1].upper(), int(radar[2])
+        first = _FIRST_ORBIT.get(satellite)
+        relative = (
+            f"R{(orbit - first) % _ORBITS + 1:03d}" if first else f"orbit {orbit % _ORBITS} of {_ORBITS}"
+        )
+        return f"{satellite} {relative}"
     return next((match[1] for match in map(SATELLITE.search, parts) if match), "")
 
 
