@@ -103,6 +103,7 @@ def write_maja(folder: Path, *, shift_px: tuple[float, float] = (0.0, 0.0), scen
 
 ENMAP = "ENMAP01-____L2A-DT0000004950_20221103T162438Z_001_V010110_20221118T145147Z-Y0146_X0311"
 DESIS = "DESIS-HSI-L2A-DT0707652640_011-20220404T193259-V0220"
+ECOSTRESS = "ECOv002_L2T_LSTE_35698_014_32TQM_20241022T103923_0713_01"
 WAVELENGTHS = (550.0, 660.0, 670.0, 850.0, 1400.0, 1650.0)
 
 
@@ -164,4 +165,22 @@ def write_desis(folder: Path, *, shift_px: tuple[float, float] = (0.0, 0.0), sce
         f'<hsi xmlns:x="http://www.dlr.de/dims"><specific><backgroundValue>-32768</backgroundValue>'
         f"<bandCharacterisation>{described}</bandCharacterisation></specific></hsi>"
     )
+    return place
+
+
+def write_ecostress(
+    folder: Path, *, shift_px: tuple[float, float] = (0.0, 0.0), scene: str = ECOSTRESS
+) -> Path:
+    """Write a tile of 70 m: temperature in kelvin with gaps at the top, emissivity, and masks."""
+    place = folder / scene
+    place.mkdir(parents=True)
+    grid = grid_of(70.0)
+    kelvin = (280 + numbers(grid, "red", shift_px) / 100).astype("float32")
+    kelvin[:20] = np.nan
+    save(place / f"{scene}_LST.tif", kelvin, grid, nodata=np.nan)
+    save(place / f"{scene}_EmisWB.tif", (kelvin / 400).astype("float32"), grid, nodata=np.nan)
+    clouds = np.zeros(grid.shape, "uint8")
+    clouds[CLOUD] = 1
+    for name in ("cloud", "water", "QC"):
+        save(place / f"{scene}_{name}.tif", clouds, grid)
     return place

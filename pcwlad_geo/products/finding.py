@@ -32,6 +32,7 @@ KINDS: Final = Registry(
         "pcwlad_geo.products.maja:MAJA",
         "pcwlad_geo.products.spectral:ENMAP",
         "pcwlad_geo.products.spectral:DESIS",
+        "pcwlad_geo.products.ecostress:ECOSTRESS",
     ),
 )
 """The kinds of products."""

@@ -24,6 +24,7 @@ MaskKind = Literal[
     "CLM",
     "QL_QUALITY_CLOUD",
     "QL_QUALITY-2",
+    "cloud",
 ]
 """zeros: 0 = excluded; the other kinds have the names that the products give them."""
 
@@ -49,7 +50,7 @@ _UDM2_OLDER_CLOUD: Final = 1 << 1
 """The bit of band 8 that does not exclude, as it also marks snow."""
 _DESIS_BANDS: Final = 1, 6, 7
 """Bands of the mask of DESIS that exclude: shadow, cloud over land, cloud over water."""
-FLAGS_ONLY: Final = ("UDM2", "CLM", "QL_QUALITY_CLOUD", "QL_QUALITY-2")
+FLAGS_ONLY: Final = ("UDM2", "CLM", "QL_QUALITY_CLOUD", "QL_QUALITY-2", "cloud")
 """Kinds whose 0 is clear ground even where the file declares it as nodata."""
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
 _NAMES: Final[dict[MaskKind, str]] = {
@@ -61,11 +62,13 @@ _NAMES: Final[dict[MaskKind, str]] = {
     "UDM2": r"(^|_)udm2(_clip)?(\.\w+)?$",
     "QL_QUALITY_CLOUD": r"^ENMAP.*-QL_QUALITY_CLOUD(_COG)?\.\w+$",
     "QL_QUALITY-2": r"^DESIS-.*-QL_QUALITY-2\.\w+$",
+    "cloud": r"^ECOv\d+_L2T_LSTE_.*_cloud\.\w+$",
     "CLM": r"(^|_)CLM_(R[123]|XS)(\.\w+)?$",
 }
 _OTHERS: Final = re.compile(
     rf"(^|_)(QA_RADSAT|QA_AEROSOL|CLOUD_QA|ST_QA|MSK_(?!CLASSI)[A-Z]+(_B\w\w)?|CLD|SNW){_ENDINGS}|"
-    r"^HLS\..*\.[SV][AZ]A\.\w+$|_L2A_.*_(ATB|IAB|EDG|SAT|MG2|DFP|DTF|PIX)_(R[123]|XS)\.\w+$|_DN_udm(_clip)?\.\w+$",
+    r"^ECOv\d+_L2T_.*_(QC|water|height|view_zenith|LST_err)\.\w+$|^HLS\..*\.[SV][AZ]A\.\w+$|"
+    r"_L2A_.*_(ATB|IAB|EDG|SAT|MG2|DFP|DTF|PIX)_(R[123]|XS)\.\w+$|_DN_udm(_clip)?\.\w+$",
     re.IGNORECASE,
 )
 """Quality rasters with values of another meaning; as masks of zeros they would exclude the wrong pixels."""
@@ -130,7 +133,7 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
         return np.where(values[0] >= _OLDER_BQA, older, later)
     if kind == "SCL":
         return ~np.isin(values[0], _EXCLUDED[kind])
-    if kind in ("MSK_CLASSI", "CLM", "QL_QUALITY-2", "QL_QUALITY_CLOUD"):
+    if kind in ("MSK_CLASSI", "CLM", "QL_QUALITY-2", "QL_QUALITY_CLOUD", "cloud"):
         return np.asarray((values == 0).all(axis=0))
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
 
