@@ -195,6 +195,8 @@ def no_product(path: str, band: str | None = None) -> str | None:
 
 def _folder(folder: Path) -> str:
     names = [entry.name for entry in folder.iterdir()]
+    if _may_hold_product(folder):
+        names += [name_in(name) for name in tree_of(folder).names]
     part = next(KINDS.ask(lambda kind: kind.part(names), str), None)
     return (
         f"{folder} holds {part}"

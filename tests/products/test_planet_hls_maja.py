@@ -185,6 +185,7 @@ def test_folders_of_several_scenes_are_stacks(tmp_path: Path) -> None:
     folder = tmp_path / "planet/PSScene"
     assert find_product(folder) is None
     assert "2 scenes of Planet" in str(no_product(str(folder)))
+    assert "2 scenes of Planet" in str(no_product(str(tmp_path / "planet")))  # the order as delivered
     images = list(listed([folder], 1))
     assert [(image.name, image.date) for image in images] == [
         (f"{day}_153012_45_2486_3B_AnalyticMS_SR_8b_clip", f"2023-06-{day[-2:]}")
