@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import os
 import re
 from collections.abc import Iterable
@@ -19,6 +20,8 @@ BAND_OF: Final = re.compile(
 """File name, without its suffix, of a band of a product."""
 DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
 """A date in a name."""
+_DAY_OF_YEAR: Final = re.compile(r"(?<!\d)((?:19|20)\d\d(?:[0-2]\d\d|3[0-5]\d|36[0-6]))T\d{6}(?!\d)")
+"""A date and time in the names of HLS, with the number of the day in its year."""
 RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
 """Endings of the files of a folder that are taken for images."""
 PICTURES: Final = (".jpg", ".jpeg", ".png")
@@ -27,8 +30,15 @@ PICTURES: Final = (".jpg", ".jpeg", ".png")
 
 def date_in(path: str) -> str | None:
     """Return the date, ISO 8601, in the last part of a path that tells one."""
-    match = next(filter(None, (DATE.search(part) for part in reversed(Path(path).parts))), None)
-    return f"{match[1]}-{match[3]}-{match[4]}" if match else None
+    parts = list(reversed(Path(path).parts))
+    match = next(filter(None, map(DATE.search, parts)), None)
+    if match:
+        return f"{match[1]}-{match[3]}-{match[4]}"
+    day = next(filter(None, map(_DAY_OF_YEAR.search, parts)), None)
+    if day is None or int(day[1][4:]) < 1:
+        return None
+    begin = datetime.date(int(day[1][:4]), 1, 1)
+    return (begin + datetime.timedelta(days=int(day[1][4:]) - 1)).isoformat()
 
 
 def rasters_of(folder: PathLike) -> list[str]:

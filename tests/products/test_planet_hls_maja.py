@@ -199,6 +199,7 @@ def test_folders_of_several_scenes_are_stacks(tmp_path: Path) -> None:
             path.rename(flat / path.name)
     images = list(listed([flat], "B04"))
     assert [image.name[-3:] for image in images] == ["B04", "B04"]
+    assert [image.date for image in images] == ["2020-08-09", "2020-08-17"]  # days 222 and 230 of a leap year
     assert all(image.describe().mask_kind == "Fmask" for image in images)
 
 
