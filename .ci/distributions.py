@@ -24,7 +24,7 @@ IN_WHEEL = (
     "pcwlad_geo/multi/templates/watch.html.j2",
     *(
         f"pcwlad_geo/schemas/{name}.schema.json"
-        for name in ("report", "qa", "stack", "stac", "rig", "proof", "watch")
+        for name in ("report", "qa", "stack", "stac", "rig", "proof", "watch", "correction")
     ),
 )
 IN_SOURCE = (

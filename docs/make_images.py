@@ -25,6 +25,9 @@ from rasterio.enums import Resampling
 from rasterio.vrt import WarpedVRT
 
 import pcwlad_geo
+from pcwlad_geo.execution.runner import InThisProcess
+from pcwlad_geo.options import Settings
+from pcwlad_geo.registration import Matches, match_pair, prepare_pair
 
 mpl.use("agg")
 from matplotlib import pyplot as plt
@@ -209,9 +212,10 @@ def mirrored(folder: Path) -> Path:
     return path
 
 
-def matched(target: Path) -> pcwlad_geo.Matches:
+def matched(target: Path) -> Matches:
     """Match the reference of the sample pair with a target, around its georeferencing alone."""
-    return pcwlad_geo.match(pcwlad_geo.open_pair(REFERENCE, target, prealign="georef"))
+    pair = prepare_pair(REFERENCE, target, Settings(prealign="georef"))
+    return match_pair(pair, InThisProcess())
 
 
 def windows() -> Figure:

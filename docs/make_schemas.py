@@ -23,7 +23,7 @@ from pcwlad_geo.multi.watch.numbers import WatchNumbers
 from pcwlad_geo.options import OPTIONS, Settings
 from pcwlad_geo.raster import RpcModel
 from pcwlad_geo.registration import Prealignment
-from pcwlad_geo.report import content
+from pcwlad_geo.report import content, correction_file
 
 FOLDER: Final = Path(__file__).resolve().parent
 ROOTS: Final = {
@@ -32,6 +32,7 @@ ROOTS: Final = {
     "qa": ("qa.json of pcwlad-geo qa", QaNumbers),
     "watch": ("watch.json of pcwlad-geo watch", WatchNumbers),
     "proof": ("proof.json of pcwlad-geo prove", content.ProofNumbers),
+    "correction": ("The file of a saved correction", correction_file.CorrectionFile),
 }
 """By the name of the JSON file: title of its schema, and the class of its content."""
 OPEN: Final = {

@@ -150,12 +150,12 @@ def call(random: Random) -> tuple[str, Callable[[], object]]:
             one, one, settings=pg.MatchSettings(**{name: value})
         )
     if kind == 3:
-        return "open_pair, images", lambda: pg.open_pair(*images, jobs=1)
+        return "match, images", lambda: pg.match(*images, jobs=1)
     if kind == 4:
         name = random.choice(("transform", "crs", "nodata"))
-        return f"Raster, {name}", lambda: pg.open_pair(pg.Raster(one, **{name: value}), one, jobs=1)
+        return f"Raster, {name}", lambda: pg.match(pg.Raster(one, **{name: value}), one, jobs=1)
     name = random.choice(OPTIONS)
-    return f"open_pair, {name}", lambda: pg.open_pair(one, one[::-1].copy(), **{"jobs": 1, name: value})
+    return f"match, {name}", lambda: pg.match(one, one[::-1].copy(), **{"jobs": 1, name: value})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -76,8 +76,8 @@ def _calls(folder: Path, calls: int) -> list[Usage]:
         if number % JOBS_EVERY == 0:
             pcwlad_geo.register(files[0], files[1], out_dir=folder / "o", overwrite=True, **SMALL)
         else:
-            pair = pcwlad_geo.open_pair(*(files if number % 2 else images), **SMALL)
-            pcwlad_geo.fit(pcwlad_geo.match(pair)).warp(images[1])
+            points = pcwlad_geo.match(*(files if number % 2 else images), **SMALL)
+            pcwlad_geo.fit(points).warp(images[1])
         gc.collect()
         now = usage(os.getpid())
         if now is not None:

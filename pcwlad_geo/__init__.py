@@ -1,10 +1,10 @@
 """Sub-pixel registration of multimodal rasters.
 
-`open_pair`, `match` and `fit` are the steps of a registration, and `FittedCorrection.warp` applies what they
-find; they take files, open datasets, arrays and xarray.DataArrays. `register` and `match_files` do a whole
-job, files in, folder out, and `batch` does many; `stack` brings many images of one ground into one frame, and
+`open`, `match` and `fit` are the steps of a registration, and `Correction.warp` applies what they find; they
+take files, open datasets, arrays and xarray.DataArrays. `register` does the whole job, and writes its folder
+where one is asked for; `batch` does many; `stack` brings many images of one ground into one frame, and
 `watch` tells what they do over time; `warp` applies what `register` has found to other bands; `qa` measures
-how well the bands of a scene lie on each other; `match_arrays` takes two arrays and gives their tie points.
+how well the bands of a scene lie on each other.
 The heavy libraries load when a name is first used, so that ``pcwlad-geo --help`` answers at once.
 """
 

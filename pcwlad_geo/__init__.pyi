@@ -1,7 +1,5 @@
-from .api import fit, match, open_pair
 from .band_warping import WarpOptions, warp
 from .correction.error_statistics import Accuracy
-from .correction.models import Correction
 from .correction.proof_result import Proof
 from .errors import (
     CancelledError,
@@ -15,10 +13,9 @@ from .errors import (
 )
 from .events import Event, EventCallback, Progress, Warned
 from .execution.runner import Runner
-from .fitted_correction import FittedCorrection
-from .job import match_files, register
+from .job import match_files
 from .matching.matcher import match_arrays
-from .matching.types import MatchSettings, TiePoints
+from .matching.types import MatchSettings
 from .multi.batch.run import BatchResult, batch
 from .multi.qa.band_pairs import PairResult
 from .multi.qa.numbers import QaResult
@@ -30,15 +27,21 @@ from .multi.stack.result import Stack, StackImage
 from .multi.stack.run import stack
 from .multi.watch.numbers import WatchNumbers
 from .multi.watch.run import watch
+from .objects.by_hand import affine, projective, shift, similarity
+from .objects.correction import Correction
+from .objects.registration import Registration
+from .objects.steps import fit, load, match, open, register
+from .objects.tie_points import TiePoints
 from .options import Options, PairOptions, Settings
 from .proving import prove
-from .raster.arrays import DataArrayLike, Raster, RasterLike
+from .raster.arrays import DataArrayLike, RasterLike
 from .raster.grid import Grid
+from .raster.raster import Raster
 from .raster.source import RasterInfo
 from .raster.trust.permissions import Trust
 from .registration.decision import Decision
 from .registration.quality import Quality
-from .registration.result import Matches, Pair, Registration
+from .registration.result import Matches, Pair
 from .registration.starts.alignment import Prealignment
 from .registration.starts.pose import Pose
 from .requirements import RequirementResult
@@ -46,7 +49,7 @@ from .rigs.applying import CaptureOutcome
 from .rigs.applying_run import RigApplied, rig_apply
 from .rigs.learning_run import rig_learn
 from .rigs.rig import Rig, RigLens
-from .shifting import shift
+from .shifting import shift_files
 from .tiepoints.table import TiePointTable
 
 __version__: str
@@ -61,7 +64,6 @@ __all__ = [
     "Event",
     "EventCallback",
     "ExecutionError",
-    "FittedCorrection",
     "Grid",
     "InputError",
     "MatchSettings",
@@ -102,18 +104,23 @@ __all__ = [
     "WarpOptions",
     "WatchNumbers",
     "__version__",
+    "affine",
     "batch",
     "fit",
+    "load",
     "match",
     "match_arrays",
     "match_files",
-    "open_pair",
+    "open",
+    "projective",
     "prove",
     "qa",
     "register",
     "rig_apply",
     "rig_learn",
     "shift",
+    "shift_files",
+    "similarity",
     "stack",
     "stack_add",
     "warp",

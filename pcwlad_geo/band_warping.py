@@ -312,6 +312,22 @@ def requested_output(finished: FinishedRegistration, output: WarpOptions) -> tup
     return request, OutputFormat.of(of, settings.co)
 
 
+def planned_grids(finished: FinishedRegistration, sources: Sequence[str], output: WarpOutput) -> list[Grid]:
+    """Return the output grids of rasters; raise if one of them cannot be used or shows nothing."""
+    correction, target, request = finished.correction, finished.target_grid, output.request
+    own_grids = [grid_on_plane_of(describe(source), target) for source in sources]
+    for source, raster in zip(sources, own_grids, strict=True):
+        warping.check_geometry(source, raster, target)
+    located = {"the reference": finished.reference_grid.located, "the target": target.located}
+    check_placed(request, located, finished.reference_grid)
+    grids = output_grids(finished.reference_grid, target, correction, request, own_grids)
+    for raster, grid in zip(own_grids, grids, strict=True):
+        if request.needs_ground or request.fixed(finished.reference_grid):
+            observed_px = map_px(raster.boundary_px(), raster, target)
+            check_covered(grid, target.to_xy(correction.inverse(observed_px)), target.crs)
+    return grids
+
+
 def _by_correction(
     sources: Sequence[str],
     places: Sequence[Mapping[str, Path]],
@@ -320,22 +336,14 @@ def _by_correction(
     on_event: EventCallback,
 ) -> WriteBand:
     """Return what warps the rasters; raise if one cannot be used, shows nothing or cannot be written so."""
-    correction, target, request = finished.correction, finished.target_grid, output.request
-    own_grids = [grid_on_plane_of(describe(source), target) for source in sources]
-    for source, raster in zip(sources, own_grids, strict=True):
-        warping.check_geometry(source, raster, target)
+    correction, target = finished.correction, finished.target_grid
     if output.format.is_vrt and not isinstance(correction, AffineCorrection):
         raise SettingsError(
             f"of = 'VRT': a VRT cannot hold the {correction.name} correction of this registration; give --of "
             "COG or GTiff"
         )
-    located = {"the reference": finished.reference_grid.located, "the target": target.located}
-    check_placed(request, located, finished.reference_grid)
-    grids = output_grids(finished.reference_grid, target, correction, request, own_grids)
-    for source, raster, grid in zip(sources, own_grids, grids, strict=True):
-        if request.needs_ground or request.fixed(finished.reference_grid):
-            observed_px = map_px(raster.boundary_px(), raster, target)
-            check_covered(grid, target.to_xy(correction.inverse(observed_px)), target.crs)
+    grids = planned_grids(finished, sources, output)
+    for source, grid in zip(sources, grids, strict=True):
         check_format(output.format, source, grid)
 
     def write(number: int, staged: Mapping[str, Path]) -> None:

@@ -1,5 +1,7 @@
 """The exceptions; every message says what was found, where, and what to do."""
 
+from typing import Any
+
 
 class PcwladGeoError(Exception):
     """Base class of all errors that pcwlad-geo raises."""
@@ -50,6 +52,11 @@ class _NoResultError(PcwladGeoError):
         super().__init__(message)
         self.registration = registration
         self.out_dir = out_dir
+
+    @property
+    def tie_points(self) -> Any:  # noqa: ANN401  # TiePoints, which this cannot import
+        """The tie points that were found, as `TiePoints`; None where there are none."""
+        return getattr(self.registration, "tie_points", None)
 
 
 class RegistrationRejectedError(_NoResultError):

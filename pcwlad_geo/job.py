@@ -28,7 +28,7 @@ from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.write import Written, write
 from pcwlad_geo.products.finding import stem_of
 from pcwlad_geo.raster import OutputFormat, check_unchanged, file_name, plain_name, trusting
-from pcwlad_geo.raster.arrays import file_of
+from pcwlad_geo.raster.scratch import file_of
 from pcwlad_geo.registration import Inputs, check_output, resolve
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import joined

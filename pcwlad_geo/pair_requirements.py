@@ -72,7 +72,7 @@ def _number_or_word(registration: Registration, name: str) -> float | str | None
         empty = coverage_of(table, registration.reference.grid.shape, registration.record).empty_share
         return round(1.0 - empty, SHARE_DIGITS)
     if name == "model":
-        return registration.correction.name.rstrip("23") if registration.correction else None
+        return registration.model.name.rstrip("23") if registration.model else None
     return registration.quality.grade if registration.quality else None
 
 

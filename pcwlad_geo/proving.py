@@ -13,7 +13,7 @@ from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.raster import check_unchanged, trusting
-from pcwlad_geo.raster.arrays import file_of
+from pcwlad_geo.raster.scratch import file_of
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:

@@ -45,7 +45,7 @@ class _Place(NamedTuple):
 
 
 @checked()
-def shift(
+def shift_files(
     files: Sequence[PathLike],
     by: tuple[float, float],
     *,

@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import shapely
@@ -74,6 +74,13 @@ class Precision:
         return np.asarray(np.sqrt(np.trace(covariance_m2, axis1=1, axis2=2) / 2))
 
 
+class SigmaInMetres(Protocol):
+    """What knows the standard deviation of a correction in metres."""
+
+    def sigma_m(self, predicted_px: Float64) -> Float64:
+        """Return the (n,) standard deviation along an axis, metres, at the (n, 2) `predicted_px`."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Movement:
     """Moves map positions of one CRS as a correction of the target asks for."""
@@ -85,7 +92,7 @@ class Movement:
     """Whether positions go back to where the target draws them."""
     everywhere: bool = False
     """Whether the correction is meant for all the ground, not for that of the target alone."""
-    precision: Precision | None = None
+    precision: SigmaInMetres | None = None
     """That of the correction, where features are to tell it."""
 
     def to_px(self, xy: Float64) -> Float64:
@@ -221,29 +228,43 @@ def _crs_of(layer: VectorLayer, name: str, registration: FinishedRegistration) -
 def _moved_layer(layer: VectorLayer, movement: Movement, name: str, on_event: EventCallback) -> VectorLayer:
     if layer.geometry is None:
         return layer
+    what = f"the layer {layer.name!r} of {name}"
     try:
         shapes = np.asarray(shapely.from_wkb(layer.geometry), dtype=object)
     except (shapely.errors.ShapelyError, ValueError) as error:
-        raise InputError(f"the layer {layer.name!r} of {name} has a damaged geometry: {error}") from error
+        raise InputError(f"{what} has a damaged geometry: {error}") from error
+    moved, sigma_m = moved_shapes(shapes, movement, what, on_event)
+    layer = replace(layer, geometry=np.asarray(shapely.to_wkb(moved), dtype=object))
+    return layer if movement.precision is None else _with_sigma(layer, sigma_m, name)
+
+
+def moved_shapes(
+    shapes: NDArray[np.object_], movement: Movement, what: str, on_event: EventCallback
+) -> tuple[NDArray[np.object_], Float64]:
+    """Return the (n,) geometries `shapes` moved, and the (n,) standard deviation of each, metres.
+
+    Vertices are inserted where the correction bends a segment. Missing and empty geometries stay. Vertices
+    beyond the target are warned of, and `what` names the geometries. Raises `InputError` if the CRS of the
+    target has no place for a vertex.
+    """
     tally = Tally()
-    moved_shapes, sigma_m = np.empty(len(shapes), dtype=object), np.full(len(shapes), np.nan)
+    moved, sigma_m = np.empty(len(shapes), dtype=object), np.full(len(shapes), np.nan)
     for kind in np.unique(shapely.get_type_id(shapes)):
         of_kind = shapely.get_type_id(shapes) == kind
-        moved_shapes[of_kind], sigma_m[of_kind] = _moved(shapes[of_kind], movement, tally)
+        moved[of_kind], sigma_m[of_kind] = _moved(shapes[of_kind], movement, tally)
     if tally.lost:
         raise InputError(
-            f"the layer {layer.name!r} of {name} has {tally.lost} vertices that the target's CRS "
-            "cannot hold: clip it to the surroundings of the target (ogr2ogr -clipsrc)"
+            f"{what} has {tally.lost} vertices that the target's CRS cannot hold: clip it to the "
+            "surroundings of the target (ogr2ogr -clipsrc)"
         )
     if tally.beyond and not movement.everywhere:
         on_event(
             Warned(
-                f"{name}, layer {layer.name!r}: {tally.beyond} of {tally.vertices} vertices lie beyond the "
-                "target image, where the correction is extrapolated: check them"
+                f"{what}: {tally.beyond} of {tally.vertices} vertices lie beyond the target image, where the "
+                "correction is extrapolated: check them"
             )
         )
-    layer = replace(layer, geometry=np.asarray(shapely.to_wkb(moved_shapes), dtype=object))
-    return layer if movement.precision is None else _with_sigma(layer, sigma_m, name)
+    return moved, sigma_m
 
 
 def _with_sigma(layer: VectorLayer, sigma_m: Float64, name: str) -> VectorLayer:

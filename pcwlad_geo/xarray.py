@@ -21,8 +21,9 @@ from pcwlad_geo.multi.cube.run import PlacedDate, place_dates
 from pcwlad_geo.multi.cube.scenes import check_mask
 from pcwlad_geo.multi.cube.warping import warped_cube
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster.arrays import RasterLike, Scratch
+from pcwlad_geo.raster.arrays import RasterLike
 from pcwlad_geo.raster.masks import is_quality_raster
+from pcwlad_geo.raster.scratch import Scratch
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

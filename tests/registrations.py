@@ -15,7 +15,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 
-from pcwlad_geo.correction.error_statistics import Accuracy
+from pcwlad_geo.correction.error_statistics import Accuracy, FitAccuracy
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Grid, RasterInfo
@@ -76,8 +76,8 @@ def make_registration(status: str = "registered", name: str = "b10.tif", n: int 
         px_m=(30.0, 30.0),
         prealignment=Prealignment("georeferencing", (0.0, 0.0), 10),
         tie_points=table,
-        correction=correction if fitted else None,
-        accuracy=accuracy if fitted else {},
+        model=correction if fitted else None,
+        accuracy=FitAccuracy(accuracy) if fitted else FitAccuracy(),
         counts={"candidates": 1000, "matched": 300, "consistent": n},
         seconds={"matching": 1.23456, "fit": 0.01},
         settings=Settings(),

@@ -125,7 +125,7 @@ def _there_and_back_m(forward: Outcome, backward: Outcome) -> Array:
 
 def _through(outcome: Outcome, xy: Array) -> Array:
     """Return where ground at (x, y) of the reference is seen in the target, by its georeferencing."""
-    correction = outcome.result.correction
+    correction = outcome.result.model
     if correction is None:
         raise RuntimeError(f"refused: {outcome.reason}")
     grid = outcome.result.target.grid

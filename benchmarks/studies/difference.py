@@ -44,7 +44,7 @@ def difference(data: Path, _scratch: Path, runner: Runner, limit_px: float = LIM
 
 
 def _shift(outcome: Outcome) -> Array:
-    correction = outcome.result.correction
+    correction = outcome.result.model
     if correction is None:
         raise RuntimeError(f"refused: {outcome.reason}")
     return correction.forward(np.zeros((1, 2)))[0]

@@ -143,7 +143,7 @@ def _short(data: Path, scratch: Path, runner: Runner) -> Table:
         base = None if source.exact else runner([Job(source.reference, source.target, PLAIN, False)])[0]
         truth = partial(_moved, ripples) if base is None else partial(_after, base, ripples)
         found, places = outcome.result, _places(outcome)
-        if found.correction is None or found.selection is None:
+        if found.model is None or found.selection is None:
             raise RuntimeError(f"{source.name} was refused: {outcome.reason}")
         points = found.tie_points.select("fit")
         given = points.predicted_px, points.target_px, points.covariance_px2
@@ -154,7 +154,7 @@ def _short(data: Path, scratch: Path, runner: Runner) -> Table:
             errors[name] = float(np.sqrt((missed**2).sum(axis=1).mean()))
         at_points = points.target_px - truth(points.predicted_px)
         own = float(np.sqrt((at_points**2).sum(axis=1).mean()))
-        rows.append([source.name, found.correction.name, len(points), own, *errors.values()])
+        rows.append([source.name, found.model.name, len(points), own, *errors.values()])
         checks.append(at_most(f"{source.name}, 400 px: field", errors["field"], SHORT_LIMIT_PX, "px"))
     header = ("pair", "auto", "points", "tie points", "affine", "polynomial3", "tps", "field")
     return Table(
@@ -164,7 +164,7 @@ def _short(data: Path, scratch: Path, runner: Runner) -> Table:
 
 def _after(base: Outcome, field: Field, at_px: Array) -> Array:
     """Return where predicted positions are seen after the field: as the undisplaced pair says, then moved."""
-    correction = base.result.correction
+    correction = base.result.model
     if correction is None:
         raise RuntimeError(f"the undisplaced pair was refused: {base.reason}")
     before = correction.forward(at_px)
@@ -233,7 +233,7 @@ def _again(data: Path, scratch: Path, runner: Runner) -> Table:
         left = second.points.displacement_px
         mean, median = left.mean(axis=0), np.median(left, axis=0)
         before = np.median(first.tie_points.select("fit", "check", "unused").displacement_px, axis=0)
-        model = first.correction.name if first.correction else "-"
+        model = first.model.name if first.model else "-"
         rows.append([name, model, *before.tolist(), len(left), *mean.tolist(), *median.tolist()])
         checks.append(at_most(f"{name}: mean displacement", float(np.hypot(*mean)), AGAIN_LIMIT_PX, "px"))
     header = ("pair", "model", "first col", "row", "points", "mean col", "row", "median col", "row")
@@ -246,11 +246,11 @@ def _row(what: str, outcomes: list[Outcome], truths: list[Field]) -> list[Cell]:
     for outcome, truth in zip(outcomes, truths, strict=True):
         places = _places(outcome)
         found = outcome.result
-        if found.correction is None or found.selection is None:
+        if found.model is None or found.selection is None:
             raise RuntimeError(f"{what} was refused: {outcome.reason}")
-        error.append(found.correction.forward(places) - truth(places))
+        error.append(found.model.forward(places) - truth(places))
         sigma.append(found.selection.sigma(places))
-        names.append(found.correction.name)
+        names.append(found.model.name)
         points += len(found.tie_points.select("fit"))
     missed, sigmas = np.concatenate(error), np.concatenate(sigma)
     size = np.linalg.norm(missed, axis=1)

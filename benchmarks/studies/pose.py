@@ -203,11 +203,11 @@ def _told(outcome: Outcome) -> str:
 
 def _corrected_px(outcome: Outcome, at_px: Array) -> Array | None:
     """Return where the correction puts (n, 2) reference px in the target; None where refused."""
-    if not outcome.accepted or outcome.result.correction is None:
+    if not outcome.accepted or outcome.result.model is None:
         return None
     found = outcome.result
     predicted = map_px(at_px, found.reference.grid, found.target.grid)
-    return np.asarray(found.correction.forward(predicted))  # type: ignore[union-attr]
+    return np.asarray(found.model.forward(predicted))  # type: ignore[union-attr]
 
 
 # --- the pairs of data/pose

@@ -92,7 +92,7 @@ class Finding:
     @property
     def model(self) -> str:
         """The model chosen; a dash where refused."""
-        found = self.outcome.result.correction if self.outcome.accepted else None
+        found = self.outcome.result.model if self.outcome.accepted else None
         return found.name if found else "-"
 
 
@@ -159,7 +159,7 @@ QUALITY_PARTS: Final[dict[str, Callable[[Path, Path, Runner], Iterator[Table]]]]
 
 def _finding(case: Case, runner: Runner) -> Finding:
     (outcome,) = runner([case.job])
-    correction = outcome.result.correction if outcome.accepted else _of_refused(outcome)
+    correction = outcome.result.model if outcome.accepted else _of_refused(outcome)
     if correction is None:
         return Finding(case, outcome, float("nan"))
     base = None if case.base is None else runner([case.base])[0]
@@ -244,7 +244,7 @@ def _job(stem: Path, reference: Image, target: Image, begin: int = 0) -> Job:
 
 def _displaced_to(field: Field, begin: int, at_px: Array, base: Outcome | None) -> Array:
     """Return where the ground is seen: as the undisplaced pair says, then moved."""
-    correction = base.result.correction if base else None
+    correction = base.result.model if base else None
     placed = at_px if correction is None else correction.forward(at_px)
     return np.asarray(placed + field(placed) - [begin, 0.0])
 
@@ -288,7 +288,7 @@ def _wrong_models(dem: Path, scratch: Path) -> dict[str, Path]:
 
 def _by_right_heights(at_px: Array, base: Outcome | None) -> Array:
     """Return where the correction found with the right elevation model puts the ground."""
-    if base is None or base.result.correction is None:
+    if base is None or base.result.model is None:
         raise RuntimeError("the pair with the right elevation model was not registered")
     found = base.result
-    return np.asarray(found.correction.forward(map_px(at_px, found.reference.grid, found.target.grid)))
+    return np.asarray(found.model.forward(map_px(at_px, found.reference.grid, found.target.grid)))

@@ -215,7 +215,7 @@ def _job(scratch: Path, number: int, kind: str, ground: str) -> Job:
 
 def _error_px(outcome: Outcome, moved_px: tuple[float, float] | None) -> float:
     """Return the 90th percentile of the correction's error; infinite where no displacement is right."""
-    correction = outcome.result.correction if outcome.accepted else None
+    correction = outcome.result.model if outcome.accepted else None
     if correction is None:
         return float("nan")
     if moved_px is None:

@@ -134,8 +134,8 @@ def _true_ce90(case: Case, outcome: Outcome) -> float:
     at_px, truth_px = (
         each[((truth_px >= 0) & (truth_px < (cols, rows))).all(axis=1)] for each in (at_px, truth_px)
     )
-    if result.correction is None:
+    if result.model is None:
         return float("nan")
     predicted_px = map_px(at_px, result.reference.grid, result.target.grid)
-    off_px = result.correction.forward(predicted_px) - truth_px
+    off_px = result.model.forward(predicted_px) - truth_px
     return float(np.percentile(np.linalg.norm(off_px, axis=1), 90))

@@ -75,7 +75,7 @@ def _hard_table(trials: list[Trial], runner: Runner) -> Table:
 
 
 def _largest_error_px(trial: Trial, outcome: Outcome) -> float:
-    correction = outcome.result.correction
+    correction = outcome.result.model
     if correction is None:
         return float("inf")
     predicted = outcome.points.predicted_px

@@ -81,16 +81,16 @@ def _agreement(by_sentinel: Outcome, by_aerial: Outcome, aerial_displacement: Ou
     """Where ground that both references show is seen in the image, by one and by the other correction."""
     at_xy = by_aerial.points.xy
     seen = aerial_displacement.result
-    if seen.correction is None:
+    if seen.model is None:
         raise RuntimeError(f"refused: {seen.reason}")
     # the same ground in the aerial image's coordinates
-    aerial_xy = seen.target.grid.to_xy(seen.correction.forward(seen.target.grid.to_px(at_xy)))
+    aerial_xy = seen.target.grid.to_xy(seen.model.forward(seen.target.grid.to_px(at_xy)))
     by_first, by_second = _observed_px(by_sentinel, at_xy), _observed_px(by_aerial, aerial_xy)
     raw = _observed_px(by_aerial, at_xy) - by_first
     apart = by_second - by_first
     rows: list[list[Cell]] = [
-        ["correction by Sentinel-2", by_sentinel.result.correction.name, *_signed(_shift(by_sentinel))],  # type: ignore[union-attr]
-        ["correction by the aerial image", by_aerial.result.correction.name, *_signed(_shift(by_aerial))],  # type: ignore[union-attr]
+        ["correction by Sentinel-2", by_sentinel.result.model.name, *_signed(_shift(by_sentinel))],  # type: ignore[union-attr]
+        ["correction by the aerial image", by_aerial.result.model.name, *_signed(_shift(by_aerial))],  # type: ignore[union-attr]
         ["apart, as they are", "", *_signed(raw.mean(axis=0))],
         ["apart, aerial displacement taken off", "", *_signed(apart.mean(axis=0))],
         ["its RMS over the common ground", "", *_signed(np.sqrt((apart**2).mean(axis=0)))],
@@ -128,7 +128,7 @@ def _rpc(outcome: Outcome) -> RpcRegistration:
 
 def _observed_px(outcome: Outcome, xy: Array) -> Array:
     """Return where ground at (x, y) of the reference CRS is seen in the image."""
-    grid, correction = _rpc(outcome).original, outcome.result.correction
+    grid, correction = _rpc(outcome).original, outcome.result.model
     if correction is None:
         raise RuntimeError(f"refused: {outcome.reason}")
     return correction.forward(grid.to_px(transform_xy(xy, outcome.points.crs, grid.crs)))
@@ -137,9 +137,9 @@ def _observed_px(outcome: Outcome, xy: Array) -> Array:
 def _shift(outcome: Outcome) -> Array:
     """Return the mean of the correction over its tie points."""
     at_px = outcome.points.predicted_px
-    if outcome.result.correction is None:
+    if outcome.result.model is None:
         raise RuntimeError(f"refused: {outcome.reason}")
-    moved: Array = (outcome.result.correction.forward(at_px) - at_px).mean(axis=0)
+    moved: Array = (outcome.result.model.forward(at_px) - at_px).mean(axis=0)
     return moved
 
 

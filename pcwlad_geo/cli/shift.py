@@ -57,7 +57,7 @@ def shift(
     def work(on_event: EventCallback) -> Ending:
         from pcwlad_geo import shifting  # slow to load
 
-        written = shifting.shift(
+        written = shifting.shift_files(
             files,
             (x, y),
             angle_deg=angle[0] if angle else 0.0,

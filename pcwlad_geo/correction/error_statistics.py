@@ -218,3 +218,54 @@ class Accuracy:
             ce90=radial.ce90,
             ce95=radial.ce95,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class GroupAccuracy:
+    """Statistics of the residuals of some points, in target px and in metres; NaN where not known."""
+
+    px: Accuracy
+    m: Accuracy
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return self.px.n
+
+    @property
+    def rmse_px(self) -> float:
+        """Radial root mean square error, target px."""
+        return self.px.rmse
+
+    @property
+    def ce90_px(self) -> float:
+        """Radius that holds 90 % of the errors, target px."""
+        return self.px.ce90
+
+    @property
+    def rmse_m(self) -> float:
+        """Radial root mean square error, metres; NaN without a CRS."""
+        return self.m.rmse
+
+    @property
+    def ce90_m(self) -> float:
+        """Radius that holds 90 % of the errors, metres; NaN without a CRS."""
+        return self.m.ce90
+
+
+class FitAccuracy(dict[str, Accuracy]):
+    """Accuracy of a correction; as a mapping it has the keys fit_px, check_px, fit_m and check_m."""
+
+    @property
+    def fit(self) -> GroupAccuracy:
+        """At the points of the fit."""
+        return self._group("fit")
+
+    @property
+    def check(self) -> GroupAccuracy:
+        """At the check points, which took no part in the fit."""
+        return self._group("check")
+
+    def _group(self, name: str) -> GroupAccuracy:
+        none = Accuracy.of(np.empty((0, 2)))
+        return GroupAccuracy(self.get(f"{name}_px", none), self.get(f"{name}_m", none))

@@ -96,6 +96,6 @@ def orthorectify_band(
 
 def correction_of(registration: Registration) -> Correction:
     """Return the correction of a registration that has one."""
-    if registration.correction is None:
+    if registration.model is None:
         raise TypeError(f"a pair that is {registration.status} has no correction")
-    return registration.correction
+    return registration.model

@@ -65,7 +65,7 @@ def write_displacement(
     own has their mean displacement, which is brought to the middle by the slope of the model, and their mean
     covariance; elsewhere it has that of the model. Raises `InputError` where metres are wanted and not known.
     """
-    if registration.selection is None or registration.correction is None:
+    if registration.selection is None or registration.model is None:
         raise TypeError("a registration without a fit has no displacement field")
     reference = ground_grid(registration.reference.grid)
     field = _Field.of(registration, reference, parameters)
@@ -94,7 +94,7 @@ class _Field:
     @classmethod
     def of(cls, registration: Registration, reference: Grid, parameters: MapParameters) -> _Field:
         """Return the field that a finished registration has found."""
-        selection, correction = registration.selection, registration.correction
+        selection, correction = registration.selection, registration.model
         if selection is None or correction is None:
             raise TypeError("there is no correction")
         target, settings = registration.target, registration.settings

@@ -149,7 +149,7 @@ def _item(job: Writing, path: Path) -> None:
 
 
 def _in_geotransform(registration: Registration) -> bool:
-    is_affine = isinstance(registration.correction, AffineCorrection)
+    is_affine = isinstance(registration.model, AffineCorrection)
     return registration.rpc is None and is_affine and registration.target.georeferenced
 
 

@@ -40,7 +40,7 @@ class GeometricAccuracy:
     @staticmethod
     def of(registration: Registration, crs: CRS | None) -> GeometricAccuracy | None:
         """Return the errors at the check points along the axes of a CRS; None without check points or CRS."""
-        correction, points = registration.correction, registration.tie_points.select("check")
+        correction, points = registration.model, registration.tie_points.select("check")
         reference, target = registration.reference, registration.target
         # the predicted pixels of a target without georeferencing are the reference's
         grid = at_mean_height((target if target.grid.located else reference).grid)

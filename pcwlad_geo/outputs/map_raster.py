@@ -133,7 +133,7 @@ def write_map(
     profile |= {"height": rows, "width": cols, "tiled": True, "bigtiff": "IF_SAFER"}
     profile |= {"crs": places.grid.crs, "transform": places.transform}
     with scratch_folder(path) as scratch, small_block_cache():
-        with sink(scratch / "pixels.tif", profile) as file:
+        with sink(str(scratch / "pixels.tif"), profile) as file:
             for row in range(0, rows, block_px):
                 for col in range(0, cols, block_px):
                     shape = min(block_px, rows - row), min(block_px, cols - col)

@@ -45,7 +45,7 @@ def write_item(
         if grid.crs is None:
             raise InputError(f"{file.name} has no CRS, and a STAC item needs one: leave out --write-stac")
         assets[name] = Asset(_named(finals[name], places["item"]), settings.of, grid, file=file)
-    quality, model = registration.quality, registration.correction
+    quality, model = registration.quality, registration.model
     properties = {
         "pcwlad_geo:model": None if model is None else model.name,
         "pcwlad_geo:quality": None if quality is None else quality.grade,
@@ -66,7 +66,7 @@ def write_item(
 
 def _lineage(registration: Registration, accuracy: GeometricAccuracy | None) -> str:
     """Return in words how the raster was made, and what its errors are."""
-    model = "" if registration.correction is None else registration.correction.name
+    model = "" if registration.model is None else registration.model.name
     text = (
         f"{file_name(registration.target.uri)} registered to {file_name(registration.reference.uri)} by tie "
         f"points ({len(registration.tie_points.select('fit'))}, model {model}), resampled once"

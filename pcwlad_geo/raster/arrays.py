@@ -1,30 +1,19 @@
-"""Rasters in memory: NumPy arrays, xarray.DataArrays and open datasets, handed on as files and back."""
+"""What a raster may be given as: NumPy arrays, xarray.DataArrays and open datasets, and the way back."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
-import weakref
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, Protocol, TypeAlias, TypeGuard
 
 import numpy as np
-import rasterio
 from affine import Affine
 from numpy.typing import NDArray
-from rasterio.crs import CRS
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
-from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.in_memory import is_array, nodata_of, pixels_of
-from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
-from pcwlad_geo.raster.grid import apply, apply_inverse
-from pcwlad_geo.raster.opening import open_own
-from pcwlad_geo.text import Shown
+from pcwlad_geo.raster.grid import Grid, apply, apply_inverse
+from pcwlad_geo.raster.raster import Raster, type_name
 from pcwlad_geo.types import PathLike
 
 X_NAMES: Final = ("x", "lon", "longitude")
@@ -65,105 +54,11 @@ class DataArrayLike(Protocol):
         """Its name."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Raster(Shown):
-    """Bands held in memory, and where their pixels lie.
-
-    Parameters
-    ----------
-    array : (rows, cols) or (bands, rows, cols) array
-        Any real dtype. What a `numpy.ma.MaskedArray` masks is not valid.
-    transform : Affine or six numbers, optional
-        Geotransform: pixel (col, row), corner-based, to map coordinates (x, y); a, b, c, d, e, f.
-    crs : CRS, str or int, optional
-        Coordinate reference system of x and y: as rasterio takes it, such as ``"EPSG:32633"``.
-    nodata : float, optional
-        Value of pixels that are not valid.
-
-    Raises
-    ------
-    InputError
-        If these describe no raster.
-    """
-
-    array: NDArray[Any]
-    transform: Affine | None = None
-    crs: CRS | None = None
-    nodata: float | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "array", _checked(self.array))
-        object.__setattr__(self, "transform", _transform(self.transform))
-        object.__setattr__(self, "crs", _crs(self.crs))
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows, columns."""
-        rows, cols = self.array.shape[-2:]
-        return rows, cols
-
-    def _facts(self) -> dict[str, str]:
-        rows, cols = self.shape
-        bands = self.array.shape[0] if self.array.ndim == 3 else 1
-        facts = {"size": f"{cols} x {rows} px", "bands": f"{bands} band{'s' if bands > 1 else ''}"}
-        facts["data type"] = str(self.array.dtype)
-        facts["CRS"] = self.crs.to_string() if self.crs else "no CRS"
-        return facts | ({} if self.nodata is None else {"nodata": f"nodata {self.nodata:g}"})
-
-
-RasterLike: TypeAlias = PathLike | DatasetReader | NDArray[Any] | Raster | DataArrayLike
-"""What a raster may be given as: a path or GDAL URI, an open rasterio dataset, a NumPy array, a `Raster`, an
-`xarray.DataArray` with the coordinates that rioxarray gives it."""
-
-
-class Scratch:
-    """A folder for the files of arrays, removed when nothing refers to it any more."""
-
-    def __init__(self) -> None:
-        try:
-            self.folder = Path(tempfile.mkdtemp(prefix="pcwlad-geo-"))
-        except OSError as error:
-            raise OutputError(f"no temporary folder can be made ({error}): set TMPDIR to one") from error
-        weakref.finalize(self, _remove, self.folder, os.getpid())
-
-    def file_of(self, raster: RasterLike, name: str) -> str:
-        """Return the path or URI of a raster; what is in memory is written to a GeoTIFF of this name.
-
-        Raises `InputError` if it is none of what `RasterLike` lists, or cannot be written.
-        """
-        if (place := _place_of(raster)) is not None:
-            return place
-        path = self.folder / f"{name}.tif"
-        if is_dataset(raster):
-            _copy(raster, path)
-        else:
-            write_raster(to_raster(raster), path)
-        return str(path)
-
-
-def _remove(folder: Path, process_id: int) -> None:
-    if os.getpid() == process_id:  # a forked worker has a copy of the object, not the folder
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def file_of(raster: object) -> str:
-    """Return the path or URI of a raster that must be a file: results refer to it.
-
-    Raises `InputError` if it is in memory only.
-    """
-    if (place := _place_of(raster)) is not None:
-        return place
-    raise InputError(
-        f"{_kind(raster)} cannot be registered into a folder, whose files refer to the raster: give a path "
-        "or an open dataset of a file, or compose open_pair, match and fit, which take rasters in memory"
-    )
-
-
-def _place_of(raster: object) -> str | None:
-    """Return the path or URI of a raster; None of one in memory."""
-    if isinstance(raster, str | os.PathLike):
-        return os.fspath(raster)
-    return str(raster.name) if is_dataset(raster) and _has_file(raster) else None
+RasterLike: TypeAlias = (
+    PathLike | DatasetReader | NDArray[Any] | tuple[NDArray[Any], Grid] | Raster | DataArrayLike
+)
+"""What a raster may be given as: a path or GDAL URI, an open rasterio dataset, a NumPy array, an array and
+its `Grid`, a `Raster`, an `xarray.DataArray` with the coordinates that rioxarray gives it."""
 
 
 def is_dataset(raster: object) -> TypeGuard[DatasetReader]:
@@ -176,34 +71,6 @@ def is_data_array(raster: object) -> TypeGuard[DataArrayLike]:
     return is_array(raster) and all(hasattr(raster, name) for name in ("dims", "coords", "attrs", "encoding"))
 
 
-def _has_file(dataset: DatasetReader) -> bool:
-    """Return whether others can open what a dataset shows; raise where it is closed or being written."""
-    if dataset.closed:
-        raise InputError(f"the dataset {dataset.name} is closed: open it again, or give its path")
-    if getattr(dataset, "mode", "r") != "r":
-        raise InputError(f"{dataset.name} is open for writing: close it, and open it for reading")
-    return isinstance(dataset, DatasetReader) and not str(dataset.name).startswith("/vsimem/")
-
-
-def _copy(dataset: DatasetReader, path: Path) -> None:
-    """Copy a dataset that has no file: pixels, masks, georeferencing."""
-    try:
-        pixels = dataset.read(masked=dataset.nodata is None)
-        gcps, gcps_crs = dataset.gcps
-        rpcs = dataset.rpcs
-    except (*LIBRARY_ERRORS, OSError, ValueError) as error:
-        raise InputError(f"the dataset {dataset.name} cannot be read: {error}") from error
-    transform = None if dataset.transform == Affine.identity() else dataset.transform
-    write_raster(Raster(pixels, transform, dataset.crs, dataset.nodata), path)
-    if gcps or rpcs:
-        file: Any
-        with ignoring(NotGeoreferencedWarning), open_own(path, mode="r+") as file:
-            if gcps:
-                file.gcps = gcps, gcps_crs
-            if rpcs:
-                file.rpcs = rpcs
-
-
 def to_raster(raster: object) -> Raster:
     """Return an array or a DataArray as a `Raster`.
 
@@ -211,94 +78,16 @@ def to_raster(raster: object) -> Raster:
     """
     if isinstance(raster, Raster):
         return raster
+    if isinstance(raster, tuple) and len(raster) == 2 and isinstance(raster[1], Grid):
+        return Raster(*raster)
     if is_data_array(raster):
         return _from_data_array(raster)
     if is_array(raster):
         return Raster(raster)
     raise InputError(
-        f"{_kind(raster)} is no raster: give a path, an open rasterio dataset, a NumPy array, "
+        f"{type_name(raster)} is no raster: give a path, an open rasterio dataset, a NumPy array, "
         "pcwlad_geo.Raster(array, transform, crs), or an xarray.DataArray"
     )
-
-
-def _kind(value: object) -> str:
-    return f"a {type(value).__module__}.{type(value).__qualname__}".replace("builtins.", "")
-
-
-def _checked(array: object) -> NDArray[Any]:
-    """Return an array that GDAL can hold."""
-    shape = array.shape if is_array(array) else ()
-    if len(shape) not in (2, 3) or 0 in shape:
-        raise InputError(
-            f"{_kind(array)} of shape {shape} is no raster: give an array of (rows, cols) or (bands, rows, "
-            "cols)"
-        )
-    array = pixels_of(array)
-    array = array.astype(_STORED.get(array.dtype.name, array.dtype), copy=False)
-    if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
-        raise InputError(
-            f"an array of {array.dtype} cannot be matched: give real numbers of at most 64 bits "
-            "(of complex ones the amplitude)"
-        )
-    return array
-
-
-def _transform(transform: object) -> Affine | None:
-    if transform is None or isinstance(transform, Affine):
-        return transform
-    try:
-        numbers: tuple[float, ...] = tuple(transform)  # type: ignore[arg-type]  # whatever a caller gives
-        return Affine(*map(float, numbers[:6]))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"transform = {transform!r}: give an affine.Affine, or its numbers a, b, c, d, e, f"
-        ) from error
-
-
-def _crs(crs: object) -> CRS | None:
-    if crs is None or isinstance(crs, CRS):
-        return crs
-    try:
-        return CRS.from_user_input(crs)
-    except (*LIBRARY_ERRORS, ValueError) as error:
-        raise InputError(f"crs = {crs!r} is no CRS: give one such as 'EPSG:32633' ({error})") from error
-
-
-def write_raster(raster: Raster, path: Path) -> None:
-    """Write a raster as a GeoTIFF.
-
-    Raises `InputError` if its nodata value does not fit its data type, and `OutputError` if the file cannot
-    be written.
-    """
-    bands = raster.array if raster.array.ndim == 3 else raster.array[None]
-    mask = np.ma.getmaskarray(bands).any(axis=0) if np.ma.isMaskedArray(bands) else None
-    count, rows, cols = bands.shape
-    profile: dict[str, Any] = {"driver": "GTiff", "count": count, "height": rows, "width": cols}
-    profile |= {"dtype": bands.dtype.name, "crs": raster.crs, "nodata": raster.nodata}
-    profile |= {"tiled": True, "bigtiff": "IF_SAFER", "transform": raster.transform}
-    try:
-        with (
-            rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
-            ignoring(NotGeoreferencedWarning),
-            rasterio.open(path, "w", **{k: v for k, v in profile.items() if v is not None}) as file,
-        ):
-            file.write(np.ma.getdata(bands))
-            if mask is not None and mask.any():
-                if raster.nodata is None:
-                    file.write_mask(np.where(mask, 0, 255).astype(np.uint8))
-                else:
-                    file.write(np.where(mask, raster.nodata, np.ma.getdata(bands)).astype(bands.dtype))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"the array of {bands.dtype} cannot be written as a raster: {error}") from error
-    except (*LIBRARY_ERRORS, OSError) as error:
-        raise OutputError(f"cannot write {path}: {error}; is the disk full?") from error
-
-
-def read_raster(path: str | Path) -> Raster:
-    """Read a raster of our own whole: (bands, rows, cols), masked where it is not valid."""
-    with ignoring(NotGeoreferencedWarning), open_own(path) as file:
-        transform = None if file.transform == Affine.identity() else file.transform
-        return Raster(file.read(masked=True), transform, file.crs, file.nodata)
 
 
 def _from_data_array(data: DataArrayLike) -> Raster:
@@ -368,21 +157,30 @@ def _to_centres(data: DataArrayLike, name: Hashable) -> float:
     return 0.5 if abs(off - round(off)) < 0.25 else 0.0
 
 
-def like_the_source(raster: Raster, source: object) -> object:
+def like_the_source(raster: Raster, source: object, like: object = None) -> object:
     """Return a warped raster as its source was given: `Raster`, DataArray or masked array.
 
     The raster is of (bands, rows, cols), masked where nothing is known; of an array of (rows, cols) it comes
-    back as such.
+    back as such. Of `like`, a DataArray on the same pixels, a DataArray gets the very coordinates.
     """
-    pixels = source.array if isinstance(source, Raster) else source
-    if not is_dataset(source) and len(getattr(pixels, "shape", ())) == 2:
-        raster = Raster(raster.array[0], raster.transform, raster.crs, raster.nodata)
-    if is_data_array(source):
-        return _to_data_array(raster, source)
-    return raster.array if is_array(source) else raster
+    if not is_array(source):
+        is_flat = _is_flat(source) and raster.source is None and raster.array.ndim == 3
+        return Raster(raster.array[0], raster.grid, nodata=raster.nodata) if is_flat else raster
+    array = raster.array if raster.array.ndim == 3 else raster.array[None]
+    raster = Raster(array[0] if _is_flat(source) else array, raster.grid, nodata=raster.nodata)
+    return _to_data_array(raster, source, like) if is_data_array(source) else raster.array
 
 
-def _to_data_array(raster: Raster, source: DataArrayLike) -> DataArrayLike:
+def _is_flat(source: object) -> bool:
+    """Return whether the pixels of a raster are (rows, cols)."""
+    if isinstance(source, tuple):
+        source = source[0]
+    if isinstance(source, Raster):
+        return source.count == 1 if source.source is not None else source.array.ndim == 2
+    return not is_dataset(source) and len(getattr(source, "shape", ())) == 2
+
+
+def _to_data_array(raster: Raster, source: DataArrayLike, like: object) -> DataArrayLike:
     """Return a DataArray like another one, on the grid of a raster."""
     values = _filled(raster)
     transform = raster.transform or Affine.identity()
@@ -400,6 +198,9 @@ def _to_data_array(raster: Raster, source: DataArrayLike) -> DataArrayLike:
     if not (transform.b or transform.d):
         coords["x"] = (("x",), transform.c + transform.a * (np.arange(cols) + 0.5))
         coords["y"] = (("y",), transform.f + transform.e * (np.arange(rows) + 0.5))
+    if is_data_array(like) and to_raster(like).grid == raster.grid:
+        places = zip(("y", "x"), like.dims[-2:], strict=True)  # sums are taken where these are equal
+        coords |= {name: (name, like.coords[dim].values) for name, dim in places if dim in like.coords}
     make: Callable[..., Any] = type(source)
     attrs = {name: value for name, value in source.attrs.items() if name != "grid_mapping"}
     data = make(values, dims=dims, coords=coords, attrs=attrs, name=source.name)

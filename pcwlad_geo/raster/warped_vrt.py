@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
+from uuid import uuid4
 
 import numpy as np
 import rasterio
@@ -16,6 +17,8 @@ from rasterio.vrt import WarpedVRT
 
 from pcwlad_geo.correction.dense import DenseMapping
 from pcwlad_geo.raster import vrt
+from pcwlad_geo.raster.opening import open_own
+from pcwlad_geo.raster.writing import MemoryFolder
 
 _ELEMENTS: Final = ("Metadata", "Description", "UnitType", "Offset", "Scale", "ColorInterp", "ColorTable")
 """Elements of a band beside its pixels, in the order of the VRT's schema."""
@@ -58,29 +61,50 @@ def write_dense_view(
     The mapping goes from the pixels (col, row) of the VRT to those of the raster; its nodes are written into
     `folder` too. The `options` are those of `rasterio.vrt.WarpedVRT`, except those of the mapping.
     """
-    nodes = _write_nodes(folder / "nodes.tif", mapping)
-    path = folder / "view.vrt"
+    nodes, path = folder / "nodes.tif", folder / "view.vrt"
+    _write_nodes(os.fspath(nodes), mapping)
     with WarpedVRT(source, **options) as view:
         rasterio.shutil.copy(view, os.fspath(path), driver="VRT")
     tree = ET.parse(path)
-    for base in tree.iter("BaseTransformer"):
-        base.clear()
-        base.append(_transformer(mapping, nodes))
+    _map_by_nodes(tree.getroot(), mapping, str(nodes.resolve()))
     tree.write(path, encoding="utf-8")
     return path
 
 
-def _write_nodes(path: Path, mapping: DenseMapping) -> Path:
+def dense_view_in_memory(
+    source: DatasetReader, folder: MemoryFolder, mapping: DenseMapping, options: Mapping[str, object]
+) -> str:
+    """Return the text of the VRT of `write_dense_view`, whose nodes are in memory."""
+    number = uuid4().hex
+    nodes, path = folder.path(f"{number}.tif"), folder.path(f"{number}.vrt")
+    _write_nodes(nodes, mapping)
+    with WarpedVRT(source, **options) as view:
+        rasterio.shutil.copy(view, path, driver="VRT")
+    with open_own(path) as file:
+        tree = ET.fromstring(file.tags(ns="xml:VRT")["xml:VRT"])
+    for element in tree.iter("SourceDataset"):
+        element.text = source.name
+        element.set("relativeToVRT", "0")
+    _map_by_nodes(tree, mapping, nodes)
+    return ET.tostring(tree, encoding="unicode")
+
+
+def _map_by_nodes(tree: ET.Element, mapping: DenseMapping, nodes: str) -> None:
+    for base in tree.iter("BaseTransformer"):
+        base.clear()
+        base.append(_transformer(mapping, nodes))
+
+
+def _write_nodes(path: str, mapping: DenseMapping) -> None:
     rows, cols = mapping.lattice.shape
     profile = {"driver": "GTiff", "height": rows, "width": cols, "count": 2, "dtype": "float64"}
     # Any but unit pixels, about which rasterio warns.
     place = rasterio.Affine.scale(2.0, -2.0)
     with rasterio.open(path, "w", **profile, nodata=_NOWHERE, transform=place) as file:
         file.write(np.nan_to_num(np.moveaxis(mapping.moved_px, 2, 0), nan=_NOWHERE))
-    return path
 
 
-def _transformer(mapping: DenseMapping, nodes: Path) -> ET.Element:
+def _transformer(mapping: DenseMapping, nodes: str) -> ET.Element:
     """Return GDAL's description of the mapping from the VRT's pixels to the raster's."""
     element = ET.Element("GenImgProjTransformer")
     for name in ("SrcGeoTransform", "SrcInvGeoTransform"):
@@ -89,9 +113,9 @@ def _transformer(mapping: DenseMapping, nodes: Path) -> ET.Element:
     ET.SubElement(array, "Reversed").text = "0"
     (col, row), (col_step, row_step) = mapping.lattice.origin_px, mapping.lattice.step_px
     place = {
-        "X_DATASET": str(nodes.resolve()),
+        "X_DATASET": nodes,
         "X_BAND": 1,
-        "Y_DATASET": str(nodes.resolve()),
+        "Y_DATASET": nodes,
         "Y_BAND": 2,
         "PIXEL_OFFSET": col,
         "PIXEL_STEP": col_step,

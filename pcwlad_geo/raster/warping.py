@@ -37,8 +37,8 @@ from pcwlad_geo.raster.output_grid import mapped_parts, original_pixels
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.vrt import has_alpha, has_mask_band, is_paletted, usable_nodata
 from pcwlad_geo.raster.warped_views import Block, UnreadableParts, warped_blocks
-from pcwlad_geo.raster.warped_vrt import write_dense_view, write_warped_vrt
-from pcwlad_geo.raster.writing import scratch_folder, sink
+from pcwlad_geo.raster.warped_vrt import dense_view_in_memory, write_dense_view, write_warped_vrt
+from pcwlad_geo.raster.writing import MemoryFolder, scratch_folder, sink
 from pcwlad_geo.types import Bool, Float64
 
 
@@ -106,7 +106,7 @@ class BlockRequest:
     nodata: float | None
     as_alpha: bool
     """Whether validity is marked by an additional alpha band, rather than by the nodata value."""
-    scratch: Path
+    scratch: Path | MemoryFolder
     """Folder for temporary files that are needed until the last block."""
     unreadable: UnreadableParts
     """Counts the parts that cannot be read."""
@@ -181,11 +181,18 @@ def warp(
         _write_vrt(source_path, out_path, grids, correction, resampling, final_path or out_path)
         return None
 
+    blocks_of = blocks_by(grids, correction)
+    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, fmt=fmt)
+
+
+def blocks_by(grids: tuple[Grid, Grid, Grid], correction: Correction) -> BlocksOf:
+    """Return what yields the blocks of a raster warped by a correction; the grids are as for `_views`."""
+
     def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
         views = _views(source, grids, correction, method, request)
         return warped_blocks(request.unreadable, views, request.windows)
 
-    return write_warped(source_path, out_path, grid, resampling, blocks_of, progress, fmt=fmt)
+    return blocks_of
 
 
 def write_warped(
@@ -212,9 +219,8 @@ def write_warped(
     ):
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]
         unreadable = UnreadableParts(source.name, grid.shape[0] * grid.shape[1])
-        pixels = _write_pixels(
-            source, scratch / "pixels.tif", unreadable, grid.shape, method, blocks_of, progress
-        )
+        place = str(scratch / "pixels.tif"), scratch
+        pixels = write_pixels(source, place, unreadable, grid.shape, method, blocks_of, progress)
         warning = unreadable.warning()
         interpolated = method != Resampling.nearest
         files = write_described(source, pixels, grid, fmt, scratch, out_path.name, interpolated=interpolated)
@@ -280,6 +286,8 @@ def _dense_view(
     own_px, out_px = (Grid(grid.shape, _PIXELS, None) for grid in (source_grid, out))
     options = _warp_options(source, own_px, out_px, method, step) | request.options()
     dense = dense_mapping(mapping, (0.0, 0.0), (cols, rows), tolerance_px=WARPING.dense_tolerance_px)
+    if isinstance(request.scratch, MemoryFolder):
+        return dense_view_in_memory(source, request.scratch, dense, options)
     folder = request.scratch / f"{turns:g}"
     folder.mkdir()
     return os.fspath(write_dense_view(source, folder, dense, options))
@@ -350,16 +358,17 @@ def _corrected_grid(source_grid: Grid, target: Grid, correction: AffineCorrectio
     )
 
 
-def _write_pixels(
+def write_pixels(
     source: DatasetReader,
-    path: Path,
+    place: tuple[str, Path | MemoryFolder],
     unreadable: UnreadableParts,
     shape: tuple[int, int],
     method: Resampling,
     blocks_of: BlocksOf,
     progress: ProgressCallback | None,
 ) -> vrt.PixelFile:
-    """Write the resampled pixels without metadata, block by block."""
+    """Write the resampled pixels without metadata, block by block, to the path and folder of a `place`."""
+    path, scratch = place
     nodata, fills, needs_mask = validity(source)
     dtype = np.result_type(*source.dtypes)
     profile = {"driver": "GTiff", "dtype": dtype.name, "count": source.count, "nodata": nodata}
@@ -367,7 +376,7 @@ def _write_pixels(
     # Not unit pixels, for which rasterio issues a warning; the true transform is in the VRT.
     profile |= {"interleave": "band", "BIGTIFF": "IF_SAFER", "transform": Affine.scale(2.0, -2.0)}
     windows = list(_blocks(shape, (source.count + 1) * dtype.itemsize))
-    request = BlockRequest(windows, nodata, needs_mask or fills, path.parent, unreadable)
+    request = BlockRequest(windows, nodata, needs_mask or fills, scratch, unreadable)
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
         sink(path, profile) as written,
@@ -383,7 +392,7 @@ def _write_pixels(
                     written.write_mask(mask, window=window)
             if progress is not None:
                 progress(count, len(windows))
-    return vrt.PixelFile(path.name, True, needs_mask, (nodata,) * source.count)
+    return vrt.PixelFile(Path(path).name, True, needs_mask, (nodata,) * source.count)
 
 
 def _warp_options(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.error_statistics import Accuracy
+from pcwlad_geo.correction.error_statistics import Accuracy, FitAccuracy
 from pcwlad_geo.correction.fit import CANDIDATES, of_option
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.points import hold_out
@@ -33,7 +33,7 @@ class Fitted:
 
     table: TiePointTable
     selection: Selection
-    accuracy: dict[str, Accuracy]
+    accuracy: FitAccuracy
     """fit_px, check_px, fit_m, check_m."""
 
     @property
@@ -115,9 +115,9 @@ def fit_correction(
     return Fitted(fitted, selection, _accuracy(fitted, sizes_m))
 
 
-def _accuracy(table: TiePointTable, sizes_m: Float64 | None) -> dict[str, Accuracy]:
+def _accuracy(table: TiePointTable, sizes_m: Float64 | None) -> FitAccuracy:
     residual_m = table.residual_px * (np.nan if sizes_m is None else sizes_m)
-    result = {}
+    result = FitAccuracy()
     for status in ("fit", "check"):
         members = table.status == status
         result[f"{status}_px"] = Accuracy.of(table.residual_px[members])

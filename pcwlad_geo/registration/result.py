@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pcwlad_geo.correction.error_statistics import Accuracy
+from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.correction.selection import Selection
@@ -229,10 +229,10 @@ class Registration(Shown):
     None without a CRS."""
     prealignment: Prealignment
     tie_points: TiePointTable
-    correction: Correction | None
-    """None where rejected, or only matched."""
-    accuracy: dict[str, Accuracy]
-    """Residuals: keys fit_px, check_px, fit_m, check_m (px = target px)."""
+    model: Correction | None
+    """The correction; None where rejected, or only matched."""
+    accuracy: FitAccuracy
+    """Of the residuals, in target px and metres; empty without a correction."""
     counts: dict[str, int]
     """Candidates and what became of them, stage by stage, in order."""
     seconds: dict[str, float]
@@ -281,8 +281,8 @@ class Registration(Shown):
         facts = {"status": self.status if self.reason is None else f"{self.status}: {self.reason}"}
         pair = f"{_band_text(self.reference)} <- {_band_text(self.target)}"
         facts |= {"pair": pair, "tie points": self.tie_points.summary()}
-        if self.correction is not None:
-            facts["model"] = self.correction.name
+        if self.model is not None:
+            facts["model"] = self.model.name
         checked = self.accuracy.get("check_px")
         if checked is not None and checked.n:
             facts["accuracy"] = f"RMSE {checked.rmse:.2f} px at {checked.n} check points"
@@ -295,7 +295,7 @@ class Registration(Shown):
         """Whether the pair was registered, rejected, or only matched."""
         if not self.decision.accepted:
             return "rejected"
-        return "matched" if self.correction is None else "registered"
+        return "matched" if self.model is None else "registered"
 
     @property
     def reason(self) -> str | None:

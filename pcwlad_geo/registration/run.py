@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pcwlad_geo.correction import Effort
+from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, JobLog, ignore
@@ -151,8 +152,8 @@ def conclude(matches: Matches, assessed: AssessedFit | None = None) -> Registrat
         px_m=pixel_size_m(grid, overlap_middle_px(matches.views, pair.target)),
         prealignment=matches.prealignment,
         tie_points=fitted.table if fitted else matches.tie_points,
-        correction=correction,
-        accuracy=fitted.accuracy if fitted else {},
+        model=correction,
+        accuracy=fitted.accuracy if fitted else FitAccuracy(),
         counts=matches.counts,
         seconds=assessed.seconds if assessed else matches.seconds,
         settings=assessed.settings if assessed else pair.settings,

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from affine import Affine
 from rasterio.crs import CRS
@@ -32,6 +32,13 @@ from pcwlad_geo.registration import (
 )
 from pcwlad_geo.registration.inputs import grid_request, identify_inputs
 from pcwlad_geo.report.content import SCHEMA_VERSION, GridEntry, Report, RpcEntry
+from pcwlad_geo.report.correction_file import (
+    CorrectionFile,
+    OutputEntry,
+    correction_file,
+    is_correction_file,
+)
+from pcwlad_geo.report.json_content import filled
 from pcwlad_geo.text import joined, mismatch, plain, read_json, typed
 
 REPORT_FILE = "report.json"
@@ -111,7 +118,7 @@ class FinishedRegistration:
 
 
 def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
-    """Read a registration from its output folder, or from its report.json.
+    """Read a registration from its output folder, from its report.json, or from a saved correction.
 
     Raises `InputError` if there is no report.json of a finished registration, or the registration does not
     meet its requirements and was made without `keep`.
@@ -119,6 +126,8 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
     path = Path(folder)
     path = path / REPORT_FILE if is_folder(path) else path
     content = _content(path)
+    if is_correction_file(content):
+        return of_file(path, correction_file(path, content))
     try:
         report = typed(content, ReadReport)
         settings = typed(report.settings, ReadSettings)
@@ -139,16 +148,65 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
         ) from error
 
 
+def of_file(path: Path, file: CorrectionFile) -> FinishedRegistration:
+    """Return what a saved correction says of its pair.
+
+    Raises `InputError` if it belongs to none, as one made by hand, or is damaged.
+    """
+    output, rpc = file.output, file.rpc
+    if file.reference is None or file.target is None or output is None:
+        raise InputError(
+            f"{path} holds a correction made by hand, which belongs to no target: compose it with a fitted "
+            "one (shift @ correction), or warp in Python with like=reference"
+        )
+    try:
+        crs = None if output.t_srs is None else CRS.from_string(output.t_srs)
+        like = None if output.like is None else _grid(path, output.like)
+        return FinishedRegistration(
+            correction=from_dict({"name": file.model.name, "forward": file.model.forward}),
+            reference_grid=_grid(path, file.reference),
+            target_grid=_grid(path, file.target),
+            request=GridRequest(output.grid, like, output.tr, output.te, crs),
+            fmt=OutputFormat.of(output.of, output.co),
+            resampling=output.resampling,
+            rpc=None if rpc is None else filled(CorrectedRpc, rpc, shape=file.target.shape),
+            inputs=file.inputs,
+        )
+    except (ValueError, CRSError, SettingsError) as error:
+        raise InputError(f"{path} is damaged ({joined(error)}): save the correction again") from error
+
+
+def output_of(registration: FinishedRegistration) -> OutputEntry:
+    """Return how rasters are warped by a registration, as its file has it."""
+    request, fmt = registration.request, registration.fmt
+    return OutputEntry(
+        grid=request.mode,
+        like=None if request.like is None else grid_entry(request.like),
+        tr=request.pixel_size,
+        te=request.extent,
+        t_srs=None if request.crs is None else request.crs.to_wkt(),
+        of=fmt.driver,
+        co=tuple(f"{name}={value}" for name, value in fmt.options.items()),
+        resampling=cast(Resampling, registration.resampling),
+    )
+
+
+def grid_entry(grid: Grid) -> GridEntry:
+    """Return a grid as JSON files have it."""
+    crs = None if grid.crs is None else grid.crs.to_wkt()
+    return GridEntry(grid.shape, tuple(grid.transform)[:6], crs)
+
+
 def finished(registration: Registration) -> FinishedRegistration:
     """Return what `read_registration` reads, from a registration in memory.
 
     Raises `InputError` if it holds no correction.
     """
     settings, rpc = registration.settings, registration.rpc
-    if registration.correction is None:
+    if registration.model is None:
         raise InputError(f"a pair that is {registration.status} has no correction: fit one first")
     return FinishedRegistration(
-        correction=registration.correction,
+        correction=registration.model,
         reference_grid=ground_grid(registration.reference.grid),
         target_grid=registration.target.grid,
         request=requested_grid(settings),
@@ -232,6 +290,8 @@ def _content(path: Path) -> Mapping[str, Any]:
         raise InputError(
             f"{path} is no JSON ({error}): give the output folder of pcwlad-geo register"
         ) from error
+    if is_correction_file(report):
+        return report  # type: ignore[no-any-return]  # a dict
     if not isinstance(report, dict) or not {"schema_version", "status", "model"} <= report.keys():
         raise InputError(
             f"{path} was not written by pcwlad-geo: give the output folder of pcwlad-geo register"

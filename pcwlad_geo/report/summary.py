@@ -184,7 +184,7 @@ def _tie_point_counts(registration: Registration) -> dict[str, int]:
 
 def _model(registration: Registration, precision: PrecisionMap | None) -> ModelEntry | None:
     """Return the correction in full precision, and the candidates from which it was chosen."""
-    if registration.correction is None:
+    if registration.model is None:
         return None
     candidates = tuple(
         filled(
@@ -197,7 +197,7 @@ def _model(registration: Registration, precision: PrecisionMap | None) -> ModelE
         for candidate in (registration.selection.candidates if registration.selection else ())
     )
     sigma = _predicted_sigma(precision) if precision else None
-    content: Any = registration.correction.to_dict()
+    content: Any = registration.model.to_dict()
     return ModelEntry(**content, predicted_sigma_px=sigma, candidates=candidates)
 
 

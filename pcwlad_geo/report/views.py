@@ -187,7 +187,7 @@ class _Viewer:
             rows, cols = self.registration.reference.grid.shape
             return [("the middle", np.array([cols / 2, rows / 2]))]
         best = points.reference_px[int(np.nanargmax(np.nan_to_num(points.score)))]
-        edge = self._clearest_edge(points) if self.registration.correction else None
+        edge = self._clearest_edge(points) if self.registration.model else None
         places = [("the most distinct match", best) if edge is None else ("the clearest edge", edge)]
         residual = np.nan_to_num(np.hypot(*points.residual_px.T))
         if residual.any():
@@ -266,7 +266,7 @@ class _Viewer:
         predicted = predict(nodes.reshape(-1, 2)).reshape(nodes.shape)
         if not np.isfinite(predicted).all():
             return None
-        correction, observed = self.registration.correction, None
+        correction, observed = self.registration.model, None
         if correction is not None:
             observed = correction.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
         return _Outlook(centre_px, shown_px, nodes, predicted, observed)

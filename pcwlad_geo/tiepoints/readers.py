@@ -24,6 +24,7 @@ FORMATS: Final = Registry(
         "pcwlad_geo.tiepoints.gdal_csv:GDAL_CSV",
         "pcwlad_geo.tiepoints.asp:ASP",
         "pcwlad_geo.tiepoints.geopackage:GEOPACKAGE",
+        "pcwlad_geo.tiepoints.correction_points:CORRECTION",
     ),
     ("pcwlad_geo.tiepoints.gcps:GCPS", "pcwlad_geo.tiepoints.envi:ENVI"),
 )
@@ -36,6 +37,7 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
 
     - `tiepoints.csv`, or any CSV with the columns ref_col, ref_row, tgt_col, tgt_row (GDAL's px);
     - `tiepoints.gpkg`: the layer tie_points, with the same columns;
+    - a saved correction (JSON): the tie points that it was fitted to;
     - QGIS Georeferencer `.points`: columns by name (sourceX or pixelX), commas or tabs, `enable` or not;
     - ENVI `.pts`, image to image or image to map: the header's line "Base Image (x,y), Warp Image (x,y)"
       gives the order; without it the base comes first;
@@ -104,7 +106,7 @@ def _head_of(path: Path) -> bytes:
 def _unknown(path: str) -> InputError:
     return InputError(
         f"{path} is no file of tie points: give a tiepoints.csv (columns {', '.join(POSITIONS)}), a "
-        "tiepoints.gpkg, a table of GCPs (column, line, x, y), a QGIS .points file, an ENVI .pts file, an "
-        "ASP .gcp file or a raster with ground control points"
+        "tiepoints.gpkg, a saved correction, a table of GCPs (column, line, x, y), a QGIS .points file, an "
+        "ENVI .pts file, an ASP .gcp file or a raster with ground control points"
         + "".join(f"; {problem}" for problem in FORMATS.problems())
     )

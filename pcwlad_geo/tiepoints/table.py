@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 import shapely
@@ -19,6 +19,9 @@ from pcwlad_geo.types import Bool, Float64, Index
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
+    from typing_extensions import Self
+
+Table = TypeVar("Table", bound="TiePointTable")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,11 +57,11 @@ class TiePointTable:
         return len(self.score)
 
     def __repr__(self) -> str:
-        return f"<TiePointTable: {self.summary()}>"
+        return f"<{type(self).__name__}: {self.summary()}>"
 
     def _repr_html_(self) -> str:
         facts = {status: str(count) for status, count in self._statuses().items()}
-        return html_table("TiePointTable", {"tie points": str(len(self)), **facts})
+        return html_table(type(self).__name__, {"tie points": str(len(self)), **facts})
 
     def to_records(self) -> NDArray[np.void]:
         """Return the rows as an (n,) structured array with the columns of `tiepoints.csv`.
@@ -124,19 +127,18 @@ class TiePointTable:
         return np.asarray(np.divide(self.covariance_px2[:, 0, 1], product, out=none, where=product > 0))
 
     @property
-    def placed(self) -> TiePointTable:
+    def placed(self) -> Self:
         """The rows with positions in both files and on the map, usable as ground control points."""
         places = np.column_stack([self.reference_px, self.target_px, self.xy])
         return self[np.asarray(np.isfinite(places).all(axis=1))]
 
-    def select(self, *statuses: str) -> TiePointTable:
+    def select(self, *statuses: str) -> Self:
         """Return the rows whose status is one of `statuses`."""
         return self[np.isin(self.status, statuses)]
 
-    def __getitem__(self, index: Bool | Index | slice) -> TiePointTable:
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        crs = values.pop("crs")
-        return TiePointTable(**{name: value[index] for name, value in values.items()}, crs=crs)
+    def __getitem__(self, index: Bool | Index | slice) -> Self:
+        values = {field.name: getattr(self, field.name) for field in fields(TiePointTable)}
+        return replace(self, **{name: value[index] for name, value in values.items() if name != "crs"})
 
 
 POINT_COLUMNS: Final = (
@@ -170,11 +172,11 @@ def columns_of(table: TiePointTable) -> dict[str, NDArray[np.generic]]:
     return {name: columns[name] for name in POINT_COLUMNS}
 
 
-def joined(table: TiePointTable, more: TiePointTable) -> TiePointTable:
+def joined(table: Table, more: TiePointTable) -> Table:
     """Return the rows of one table and then those of another of the same pair."""
-    names = [field.name for field in fields(table) if field.name != "crs"]
+    names = [field.name for field in fields(TiePointTable) if field.name != "crs"]
     values = {name: np.concatenate([getattr(table, name), getattr(more, name)]) for name in names}
-    return TiePointTable(**values, crs=table.crs)
+    return replace(table, **values)
 
 
 def locate(

@@ -15,7 +15,10 @@ from scipy import ndimage
 
 import pcwlad_geo as pg
 from pcwlad_geo.in_memory import pixels_of
-from pcwlad_geo.raster.arrays import Scratch, read_raster, to_raster
+from pcwlad_geo.matching import MatchSettings, match_arrays
+from pcwlad_geo.raster.arrays import to_raster
+from pcwlad_geo.raster.raster import read_raster
+from pcwlad_geo.raster.scratch import Scratch
 
 dask = pytest.importorskip("dask.array")
 RNG = np.random.default_rng(1)
@@ -26,7 +29,7 @@ GONE[:, 65:] = True
 NODATA = 7.0
 MARKED = np.where(GONE, NODATA, REFERENCE.round()).astype("uint16")
 GARBAGE = np.where(GONE, RNG.random(REFERENCE.shape) * 60_000, MARKED).astype("uint16")
-SETTINGS = pg.MatchSettings(features=40, window=41, template=61)
+SETTINGS = MatchSettings(features=40, window=41, template=61)
 
 
 def data_array(values: Any, encoding: dict[str, Any] | None = None, **attributes: Any) -> xarray.DataArray:
@@ -89,14 +92,14 @@ def test_files_of_arrays_hold_the_same(kind: str) -> None:
 
 
 def test_masked_pixels_are_matched_like_nan() -> None:
-    expected = pg.match_arrays(with_nan, TARGET, settings=SETTINGS).displacement_px
+    expected = match_arrays(with_nan, TARGET, settings=SETTINGS).displacement_px
     assert len(expected) > 20
     assert np.abs(np.median(expected, axis=0) - (-5.0, 3.0)).max() < 0.02
     for kind in ("mask, Fortran order", "DataArray, dask, big-endian", "Raster, nodata"):
-        found = pg.match_arrays(KINDS[kind](), TARGET, settings=SETTINGS).displacement_px
+        found = match_arrays(KINDS[kind](), TARGET, settings=SETTINGS).displacement_px
         np.testing.assert_allclose(found, expected, atol=0.05)
     masks = {"reference_valid": np.ma.masked_array(np.ones(GONE.shape, bool), GONE)}
-    found = pg.match_arrays(GARBAGE, TARGET, settings=SETTINGS, **masks).displacement_px
+    found = match_arrays(GARBAGE, TARGET, settings=SETTINGS, **masks).displacement_px
     np.testing.assert_allclose(found, expected, atol=0.05)
 
 
@@ -138,4 +141,4 @@ def test_a_closed_dataset_is_said() -> None:
         closed = memory.open()
         closed.close()
         with pytest.raises(pg.InputError, match="is closed: open it again, or give its path"):
-            pg.open_pair(closed, MARKED)
+            pg.match(closed, MARKED)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pcwlad_geo as pg
+from pcwlad_geo.matching import MatchSettings, match_arrays
 
 GOOD = np.random.default_rng(4).normal(size=(60, 70)).cumsum(axis=0)
 
@@ -42,7 +43,7 @@ ARRAYS: dict[str, Any] = {
 def test_images(array: Any) -> None:
     for images in ((array, GOOD), (GOOD, array)):
         with pytest.raises(pg.InputError):
-            pg.match_arrays(*images)
+            match_arrays(*images)
 
 
 @pytest.mark.parametrize("dtype", [complex, float, "datetime64[s]", "U3", object])
@@ -50,7 +51,7 @@ def test_masks(dtype: Any) -> None:
     mask = np.zeros(GOOD.shape, dtype)
     for name in ("reference_valid", "target_valid"):
         with pytest.raises(pg.InputError, match="mask"):
-            pg.match_arrays(GOOD, GOOD, **{name: mask})
+            match_arrays(GOOD, GOOD, **{name: mask})
 
 
 SETTINGS: list[tuple[str, Any]] = [
@@ -65,19 +66,19 @@ SETTINGS: list[tuple[str, Any]] = [
 @pytest.mark.parametrize(("name", "value"), SETTINGS)
 def test_settings(name: str, value: Any) -> None:
     with pytest.raises(pg.SettingsError, match=name):
-        pg.MatchSettings(**{name: value})
+        MatchSettings(**{name: value})
 
 
 def test_settings_of_another_type() -> None:
     with pytest.raises(pg.SettingsError, match="MatchSettings"):
-        pg.match_arrays(GOOD, GOOD, settings={})  # type: ignore[arg-type]
+        match_arrays(GOOD, GOOD, settings={})  # type: ignore[arg-type]
 
 
 WRONG: dict[str, Callable[[], object]] = {
     "a geotransform of huge numbers": lambda: pg.Raster(GOOD, (10**400, 0, 0, 0, 1, 0)),  # type: ignore[arg-type]
     "a CRS with a NUL": lambda: pg.Raster(GOOD, crs="EPSG:4326\0"),  # type: ignore[arg-type]
-    "a nodata value that is a list": lambda: pg.open_pair(pg.Raster(GOOD, nodata=[]), GOOD),  # type: ignore[arg-type]
-    "a nodata value that is a text": lambda: pg.open_pair(pg.Raster(GOOD, nodata="x"), GOOD),  # type: ignore[arg-type]
+    "a nodata value that is a list": lambda: pg.match(pg.Raster(GOOD, nodata=[]), GOOD),  # type: ignore[arg-type]
+    "a nodata value that is a text": lambda: pg.match(pg.Raster(GOOD, nodata="x"), GOOD),  # type: ignore[arg-type]
 }
 
 

@@ -18,8 +18,20 @@ IMAGE = np.random.default_rng(4).normal(size=(130, 130)).cumsum(axis=0)
 WRONG: list[Any] = [5, 2.5, True, None, [], [5], {}, {"a": 1}, b"a", object(), float("nan"), IMAGE, print]
 WRONG += [10**5000]
 FUNCTIONS = (
-    *("batch", "fit", "match", "match_arrays", "match_files", "open_pair", "prove", "qa", "register"),
-    *("rig_apply", "rig_learn", "shift", "stack", "stack_add", "warp", "watch"),
+    *(
+        "affine",
+        "batch",
+        "fit",
+        "load",
+        "match",
+        "match_arrays",
+        "match_files",
+        "open",
+        "projective",
+        "prove",
+    ),
+    *("qa", "register", "rig_apply", "rig_learn", "shift", "shift_files", "similarity", "stack", "stack_add"),
+    *("warp", "watch"),
 )
 
 
@@ -51,7 +63,7 @@ def test_a_wrong_argument_is_an_error_of_ours(function: str, name: str) -> None:
     sound: dict[str, Any] = {
         each: ["absent.tif"] if each in ("images", "captures", "files") else "absent.tif" for each in needed
     }
-    if function == "shift":
+    if function == "shift_files":
         sound |= {"by": (1.0, 2.0)}
     if function == "match_arrays":
         sound = {"reference": IMAGE, "target": IMAGE[::-1]}
@@ -72,7 +84,7 @@ def test_a_wrong_argument_is_an_error_of_ours(function: str, name: str) -> None:
         ("stack", {"images": 5}),
         ("stack_add", {"images": ["a.tif"], "out_dir": 5}),
         ("warp", {"registration": "a", "rasters": ["b.tif"], "tr": (1, "x")}),
-        ("shift", {"files": ["a.tif"], "by": 5}),
+        ("shift_files", {"files": ["a.tif"], "by": 5}),
         ("watch", {"stack": 5}),
         ("rig_learn", {"captures": {}}),
         ("rig_apply", {"captures": ["a"], "out_dir": "b", "rig": 5}),
@@ -109,17 +121,17 @@ class Nonsense(Executor):
 
 
 def test_executors_that_do_not_work_are_said() -> None:
-    pair = pg.open_pair(IMAGE, IMAGE, template=31, window=31, prealign="none")
+    how: Any = {"template": 31, "window": 31, "prealign": "none"}
     for executor, message in {
         Nonsense(future=False): "returns a int, which is no Future",
         Nonsense(future=True): "returns other results than those of the calls",
     }.items():
         with pytest.raises(pg.ExecutionError, match=message):
-            pg.match(pair, executor=executor)
+            pg.match(IMAGE, IMAGE, executor=executor, **how)
     ended = ThreadPoolExecutor(1)
     ended.shutdown()
     with pytest.raises(pg.ExecutionError, match="after shutdown"):
-        pg.match(pair, executor=ended)
+        pg.match(IMAGE, IMAGE, executor=ended, **how)
 
 
 @pytest.mark.parametrize(

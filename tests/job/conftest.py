@@ -25,7 +25,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     def make_it(status: str = "registered", correction: Correction | None = None, **options: object) -> Path:
         def finish(inputs: Inputs, **_: object) -> Registration:
             made = of_files(make_registration(status), Path(inputs.reference), Path(inputs.target))
-            return replace(made, settings=inputs.settings, correction=correction or made.correction)
+            return replace(made, settings=inputs.settings, model=correction or made.model)
 
         monkeypatch.setattr("pcwlad_geo.registration.register_inputs", finish)
         job = workflow.match_files if status == "matched" else workflow.register

@@ -85,9 +85,8 @@ def test_a_georeferencing_that_is_far_off_does_not_count(pair: tuple[Path, Path]
     with rasterio.open(mask_path, "r+") as file:
         file.write(np.repeat(np.arange(310) >= 150, 300).reshape(310, 300).T.astype("uint16"), 1)
     with pytest.raises(pcwlad_geo.InputError, match="do not overlap"):
-        pcwlad_geo.open_pair(pair[0], target)
-    opened = pcwlad_geo.open_pair(pair[0], target, place=PLACE, tgt_mask=mask_path, **SMALL)
-    points = pcwlad_geo.match(opened).tie_points
+        pcwlad_geo.match(pair[0], target)
+    points = pcwlad_geo.match(pair[0], target, place=PLACE, tgt_mask=mask_path, **SMALL)
     np.testing.assert_allclose(np.median(points.displacement_px, axis=0), OFF_PX, atol=0.1)
     assert points.target_px[:, 0].min() > 149
 
@@ -113,10 +112,10 @@ def test_what_a_place_cannot_be(pair: tuple[Path, Path]) -> None:
     with pytest.raises(pcwlad_geo.SettingsError, match="both place the target"):
         Settings(place=PLACE, model="rpc")
     with pytest.raises(pcwlad_geo.InputError, match=r"photo\.tif has no georeferencing.*--place"):
-        pcwlad_geo.open_pair(photo, reference, place=PLACE)
+        pcwlad_geo.match(photo, reference, place=PLACE)
     elsewhere = (0.0, *PLACE[1:])
     with pytest.raises(pcwlad_geo.InputError, match="do not overlap"):
-        pcwlad_geo.open_pair(reference, photo, place=elsewhere)  # type: ignore[arg-type]
+        pcwlad_geo.match(reference, photo, place=elsewhere)  # type: ignore[arg-type]
 
 
 def test_it_is_given_as_gdal_prints_it(

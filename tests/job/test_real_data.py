@@ -21,9 +21,9 @@ FEW: Any = {"features": 80}
 def shift_of(found: Registration) -> Array:
     """Return the displacement that the model gives in the middle of the target, px."""
     assert found.status == "registered", found.reason
-    assert found.correction is not None
+    assert found.model is not None
     middle = np.array(found.target.grid.shape[::-1])[None] / 2
-    return np.asarray((found.correction.forward(middle) - middle)[0])
+    return np.asarray((found.model.forward(middle) - middle)[0])
 
 
 @pytest.mark.parametrize(

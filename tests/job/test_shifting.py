@@ -50,7 +50,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 @pytest.mark.parametrize("copy", [False, True])
 def test_all_files_move_by_the_same_amount(files: list[str], copy: bool) -> None:
     about = (500_300.0, 4_599_800.0)
-    written = pcwlad_geo.shift(files, BY, angle_deg=30.0, about=about, copy=copy, out_dir="out")
+    written = pcwlad_geo.shift_files(files, BY, angle_deg=30.0, about=about, copy=copy, out_dir="out")
     suffix = "tif" if copy else "vrt"
     names = [
         f"fine_shifted.{suffix}",

@@ -67,11 +67,11 @@ def test_a_pair_expects_the_error_of_jitter_that_its_windows_average_out(
     found = register_pair(
         write(tmp_path / "still.tif", still, grid), write(tmp_path / "moved.tif", moved, grid), Settings()
     )
-    assert found.correction is not None
+    assert found.model is not None
     assert found.quality is not None
     axis = np.arange(20.0, SIDE - 20, 7)
     at_px = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    off = found.correction.forward(at_px) - at_px - (0.7, -0.4) - shaken(at_px, size_px)
+    off = found.model.forward(at_px) - at_px - (0.7, -0.4) - shaken(at_px, size_px)
     true_px = float(np.percentile(np.linalg.norm(off, axis=1), 90))
     assert found.quality.grade == grade
     assert true_px < max(1.5 * found.quality.expected_ce90_px, 0.05)

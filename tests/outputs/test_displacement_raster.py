@@ -43,7 +43,7 @@ def sheared(**settings: object) -> Registration:
     return replace(
         made,
         tie_points=table,
-        correction=selection.fit.correction,
+        model=selection.fit.correction,
         selection=selection,
         settings=replace(made.settings, write_displacement=True, **settings),
     )

@@ -32,8 +32,8 @@ def with_errors(grid: Grid) -> Registration:
     made = make_registration(n=8000)
     table, rng = made.tie_points, np.random.default_rng(5)
     off_px = BIAS_PX + rng.normal(0, np.hypot(SCATTER_PX, NOISE_PX), (len(table), 2))
-    assert made.correction is not None
-    target_px = made.correction.forward(table.predicted_px) + off_px
+    assert made.model is not None
+    target_px = made.model.forward(table.predicted_px) + off_px
     noise = np.tile(np.eye(2) * NOISE_PX**2, (len(table), 1, 1))
     table = replace(table, target_px=target_px, covariance_px2=noise, residual_px=off_px)
     return replace(made, tie_points=table, target=replace(made.target, grid=grid))

@@ -106,8 +106,8 @@ def test_a_pair_registers_as_without_them(tmp_path: Path, declared: float | None
     target = render(make_grid(), "thermal", displacement_px=shift).astype("float32")
     target[100:104, 60:64] = -3.4028235e38
     paths = write(tmp_path / "r.tif", reference), write(tmp_path / "t.tif", target, declared)
-    matches = pg.match(pg.open_pair(*paths, points=200, prealign="georef"))
-    assert matches.accepted
-    assert len(matches.warnings) == (declared is None)
-    found = np.median(matches.tie_points.displacement_px, axis=0)
+    points = pg.match(*paths, points=200, prealign="georef")
+    assert points.matches is not None
+    assert len(points.matches.warnings) == (declared is None)
+    found = np.median(points.displacement_px, axis=0)
     assert np.abs(found - shift).max() < 0.12  # as of this scene without them

@@ -68,9 +68,9 @@ def test_the_fit_is_that_of_the_points(
     path = write_table(make_table(rasters, outliers=outliers), tmp_path / "p.csv", columns)
     found = register_pair(*rasters, Settings(tie_points=path))
     assert found.status == "registered"
-    assert found.correction is not None
-    assert found.correction.name == "shift"
-    assert np.abs(found.correction.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.02
+    assert found.model is not None
+    assert found.model.name == "shift"
+    assert np.abs(found.model.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.02
     assert (found.tie_points.status[: int(outliers * 400)] == "rejected").all()
     assert found.counts["inconsistent"] == pytest.approx(outliers * 400, abs=3)
     assert found.accuracy["check_px"].n >= 20
@@ -87,16 +87,16 @@ def test_points_that_are_switched_off_stay_out(rasters: tuple[Path, Path], tmp_p
     target_px[100:] += 3
     path = write_table(replace(table, status=status, target_px=target_px), tmp_path / "p.csv")
     found = register_pair(*rasters, Settings(tie_points=path))
-    assert found.correction is not None
-    assert np.abs(found.correction.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.05
+    assert found.model is not None
+    assert np.abs(found.model.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.05
     assert (found.tie_points.status[100:] == "rejected").all()
 
 
 def test_a_handful_of_points_is_fitted(rasters: tuple[Path, Path], tmp_path: Path) -> None:
     path = write_table(make_table(rasters, 4), tmp_path / "p.csv", 5)
     found = register_pair(*rasters, Settings(tie_points=path, model="shift"))
-    assert found.correction is not None
-    assert np.abs(found.correction.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.3
+    assert found.model is not None
+    assert np.abs(found.model.forward(np.zeros((1, 2))) - SHIFT_PX).max() < 0.3
 
 
 def test_what_does_not_fit_is_told(rasters: tuple[Path, Path], tmp_path: Path) -> None:
@@ -129,8 +129,8 @@ def test_a_registration_from_its_own_points_is_the_same(tmp_path: Path) -> None:
     for name in ("tiepoints.csv", "tgt.tif.points", "tgt.pts", "tgt_gcps.vrt"):
         out_dir = tmp_path / f"from {name}"
         found = pcwlad_geo.register(*paths, tie_points=tmp_path / "first" / name, out_dir=out_dir)
-        assert found.correction is not None
-        shifts.append(found.correction.forward(np.array([[160.0, 120.0]]))[0])
+        assert found.model is not None
+        shifts.append(found.model.forward(np.array([[160.0, 120.0]]))[0])
         report = json.loads((out_dir / "report.json").read_text())
         assert report["settings"]["tie_points"] == str(tmp_path / "first" / name)
         assert report["tie_points"]["check"] > 0
@@ -166,13 +166,13 @@ def test_a_part_of_the_ground_and_all_of_it_are_told_each(
     }
     settings = Settings(tie_points=path, model="shift", **restrictions[restricted_by])
     found = register_pair(*rasters, settings)
-    assert found.correction is not None
+    assert found.model is not None
     assert found.quality is not None
     assert found.quality.whole is not None
     col, row = np.meshgrid(np.arange(2.5, 320, 5), np.arange(2.5, 240, 5))
     places = np.column_stack([col.ravel(), row.ravel()])
     truth = places + SHIFT_PX + np.column_stack([0.6 * places[:, 0] / 160, np.zeros(len(places))])
-    off_px = np.hypot(*(found.correction.forward(places) - truth).T)
+    off_px = np.hypot(*(found.model.forward(places) - truth).T)
     inside = places[:, 0] < 160
     assert found.quality.expected_ce90_px == pytest.approx(np.percentile(off_px[inside], 90), rel=0.25)
     whole_px, extrapolated = found.quality.whole

@@ -61,8 +61,8 @@ def test_bands_of_one_product_follow_the_ground_below_most_clouds(tmp_path: Path
     found = register_pair(*pair(tmp_path, ("scene_B4.tif", "scene_B10.tif"), 0.65), FEW)
     assert found.status == "registered"
     at = np.array([[SIDE / 2, SIDE * 0.85]])
-    assert found.correction is not None
-    assert np.abs(found.correction.forward(at) - at - GROUND_PX).max() < 0.1
+    assert found.model is not None
+    assert np.abs(found.model.forward(at) - at - GROUND_PX).max() < 0.1
     assert len(found.motions) == 2
     assert np.hypot(*np.subtract(found.motions[1].displacement_px, CLOUDS_PX)) < 0.3
     assert found.quality is not None
@@ -78,9 +78,9 @@ def test_clear_bands_of_one_product_that_lie_apart_are_fair_and_told_of(
     first = write(tmp_path / "scene_B4.tif", render(CLEAR, "red", seed=2), CLEAR)
     moved = render(CLEAR, "thermal", seed=2, displacement_px=moved_px)
     found = register_pair(first, write(tmp_path / "scene_B10.tif", moved, CLEAR), Settings(features=150))
-    assert found.correction is not None
+    assert found.model is not None
     at = np.array([[150.0, 150.0]])
-    assert np.abs(found.correction.forward(at) - at - moved_px).max() < 0.1
+    assert np.abs(found.model.forward(at) - at - moved_px).max() < 0.1
     assert found.quality is not None
     assert found.quality.grade == "fair"
     assert "bands of one product lie more than" in found.quality.reasons[0].text

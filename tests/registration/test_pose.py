@@ -84,8 +84,8 @@ def test_a_turned_target_is_registered_as_precisely(
     assert found.status == "registered"
     assert np.sqrt((errors_px(found, linear, shift) ** 2).mean()) < 1.15 * RMSE_AS_IT_LIES_PX * scale
     corners = np.array([[0.0, 0.0], [320.0, 0.0], [0.0, 300.0], [320.0, 300.0]])
-    assert found.correction is not None
-    np.testing.assert_allclose(found.correction.forward(corners), corners @ linear.T + shift, atol=0.3)
+    assert found.model is not None
+    np.testing.assert_allclose(found.model.forward(corners), corners @ linear.T + shift, atol=0.3)
     pose = found.prealignment.pose
     assert pose is not None
     assert pose.rotation_deg == pytest.approx(rotation_deg, abs=0.2)
@@ -175,10 +175,10 @@ def test_flat_ground_seen_from_the_side_is_projective(
     found = register_pair(reference, write(tmp_path / "target.tif", values, None), Settings())
     assert found.status == "registered"
     assert (found.prealignment.pose is not None) == (turn_deg != 0)
-    assert found.correction is not None
-    assert found.correction.name == "projective"
+    assert found.model is not None
+    assert found.model.name == "projective"
     places = np.array([[40.0, 40.0], [280.0, 40.0], [40.0, 260.0], [280.0, 260.0], [160.0, 150.0]])
-    error_px = np.linalg.norm(found.correction.forward(places) - through(homography, places), axis=1)
+    error_px = np.linalg.norm(found.model.forward(places) - through(homography, places), axis=1)
     assert error_px.max() < 0.5
 
 

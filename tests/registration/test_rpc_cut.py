@@ -49,7 +49,7 @@ def test_a_part_cut_from_a_product_is_registered(tmp_path: Path) -> None:
     dem = write_dem(tmp_path / "dem.tif")
     pair = scene(tmp_path, of_a_product(make_rpc()), dem, dem_grid())
     found = register_pair(*pair, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
-    np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.02)
+    np.testing.assert_allclose(found.model.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.02)
     assert found.rpc.bias_error_px < 1e-3
     assert found.warnings == ()
 
@@ -104,7 +104,7 @@ def test_every_tie_point_has_metres(far_below: tuple[Path, Path, Path]) -> None:
     found = register_pair(reference, image, Settings(dem=dem, dem_vertical=UNDULATION_M, jobs=1))
     assert np.isfinite(found.tie_points.displacement_m).all()
     assert np.isfinite(found.tie_points.target_px).all()
-    np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.03)
+    np.testing.assert_allclose(found.model.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.03)
     reached_px = np.ptp(found.tie_points.select("fit", "check").reference_px, axis=0)
     assert (reached_px > [120.0, 100.0]).all()  # of 200 x 180 px that the DEM covers
 

@@ -61,7 +61,7 @@ def registered(
 
 def test_the_error_of_the_target_is_found(registered: tuple[pcwlad_geo.Registration, Path]) -> None:
     found, _ = registered
-    np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.03)
+    np.testing.assert_allclose(found.model.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.03)
 
 
 def test_tie_points_are_in_the_pixels_of_both_images_and_on_the_ground(
@@ -142,7 +142,7 @@ def test_a_target_on_the_map_needs_no_rpc(folder: Path, tmp_path: Path) -> None:
     target = write(tmp_path / "target.tif", render(grid, displacement_px=TRUTH_PX), grid)
     found = register_pair(folder / "reference.tif", target, heights(folder))
     assert found.rpc is None
-    np.testing.assert_allclose(found.correction.forward(np.zeros((1, 2)))[0], TRUTH_PX, rtol=0, atol=0.05)
+    np.testing.assert_allclose(found.model.forward(np.zeros((1, 2)))[0], TRUTH_PX, rtol=0, atol=0.05)
     assert found.tie_points.crs == CRS_OF_SCENE
 
 

@@ -58,8 +58,8 @@ def registered(pair: Pair, tmp_path_factory: pytest.TempPathFactory) -> Register
 
 def test_the_error_of_the_rpc_is_found(registered: Registered) -> None:
     found, _ = registered
-    assert found.correction.name == "shift"
-    np.testing.assert_allclose(found.correction.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.01)
+    assert found.model.name == "shift"
+    np.testing.assert_allclose(found.model.matrix[:, 2], TRUTH_PX, rtol=0, atol=0.01)
     points = found.tie_points.select("fit", "check")
     np.testing.assert_allclose(points.displacement_px.mean(axis=0), TRUTH_PX, rtol=0, atol=0.02)
     assert found.px_m == pytest.approx((30.0, 30.0), rel=0.02)
@@ -88,7 +88,7 @@ def test_what_is_written(registered: Registered) -> None:
     assert {"image_rpc.vrt", "image_rpc_RPC.TXT", "image_registered.tif", "image_gcps.vrt"} <= names
     assert "image_corrected.vrt" not in names
     with rasterio.open(out_dir / "image_rpc.vrt") as file:
-        assert file.rpcs.samp_off == pytest.approx(make_rpc().samp_off + found.correction.matrix[0, 2])
+        assert file.rpcs.samp_off == pytest.approx(make_rpc().samp_off + found.model.matrix[0, 2])
         assert file.shape == SHAPE
     with trusting(Trust(vrt=True)):
         source = read_rpc(str(out_dir / "image_rpc.vrt"))
@@ -196,7 +196,7 @@ def test_gdalwarp_makes_the_same_of_the_corrected_rpc(
 def test_a_wrong_datum_moves_the_shift_by_what_its_height_means(registered: Registered, pair: Pair) -> None:
     found, _ = registered
     without = register_pair(pair[0], pair[1], Settings(dem=pair[2], dem_vertical=0.0, jobs=1, features=300))
-    moved = found.correction.matrix[:, 2] - without.correction.matrix[:, 2]
+    moved = found.model.matrix[:, 2] - without.model.matrix[:, 2]
     np.testing.assert_allclose(moved, -UNDULATION_M * PX_PER_M, rtol=0, atol=0.05)
 
 
@@ -218,11 +218,11 @@ def test_an_affine_error_is_folded_too(pair: Pair, tmp_path: Path) -> None:
     values = np.clip(np.rint(seen * 200), 1, 65535).astype(np.uint16)
     image = write_image(tmp_path / "image.tif", values, make_rpc())
     found = register_pair(pair[0], image, Settings(dem=pair[2], dem_vertical=UNDULATION_M, jobs=1))
-    assert found.correction.name == "affine"
+    assert found.model.name == "affine"
     assert found.rpc.bias_error_px < 1e-3
     corners = np.array([[0.0, 0.0], [320.0, 0.0], [320.0, 300.0], [0.0, 300.0]])
     expected = corners @ linear.T + (1.0, -0.5)
-    np.testing.assert_allclose(found.correction.forward(corners), expected, rtol=0, atol=0.05)
+    np.testing.assert_allclose(found.model.forward(corners), expected, rtol=0, atol=0.05)
 
 
 def test_a_target_with_both_needs_to_be_told(pair: Pair, tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def write_pair(
 def check(found: Registration, shift_px: tuple[float, float] = SHIFT_PX, *, within_px: float = 0.05) -> None:
     """Points and model say the displacement everywhere; a sign or a half pixel wrong would show."""
     assert found.status == "registered", found.reason
-    assert found.correction is not None
+    assert found.model is not None
     points = found.tie_points.select("fit", "check", "unused")
     assert len(points) >= 30
     apart = points.displacement_px - shift_px
@@ -67,7 +67,7 @@ def check(found: Registration, shift_px: tuple[float, float] = SHIFT_PX, *, with
     assert np.percentile(np.hypot(*apart.T), 95) <= 0.3
     rows, cols = found.target.grid.shape
     corners = np.array([[0.0, 0], [cols, 0], [cols, rows], [0, rows]])
-    assert np.abs(found.correction.forward(corners) - corners - shift_px).max() <= 2 * within_px
+    assert np.abs(found.model.forward(corners) - corners - shift_px).max() <= 2 * within_px
 
 
 def in_crs(crs: CRS, shape: tuple[int, int], size_xy: tuple[float, float]) -> Grid:
@@ -334,13 +334,13 @@ def test_recovers_an_affine_displacement(tmp_path: Path) -> None:
     target = write(tmp_path / "tgt.tif", seen, grid)
     found = register_pair(reference, target, Settings(template=61, window=41, features=120))
     assert found.status == "registered", found.reason
-    assert found.correction is not None
-    assert found.correction.name == "affine"
+    assert found.model is not None
+    assert found.model.name == "affine"
     places = np.array([[30.0, 30], [230, 30], [230, 230], [30, 230], [130, 130]])
     truth = places @ AFFINE.T + SHIFT_PX
-    assert np.abs(found.correction.forward(places) - truth).max() < 0.05
+    assert np.abs(found.model.forward(places) - truth).max() < 0.05
     table = found.tie_points.select("fit", "check")
-    residual = table.target_px - found.correction.forward(table.predicted_px)
+    residual = table.target_px - found.model.forward(table.predicted_px)
     np.testing.assert_allclose(table.residual_px, residual, atol=1e-9)
     assert found.accuracy["fit_px"].rmse < 0.1
     assert np.sqrt(np.mean(residual**2, axis=0)).max() < 0.1
@@ -360,7 +360,7 @@ def test_local_displacements_are_taken_out_by_a_spline_or_told_in_a_warning(
     target = write(tmp_path / "tgt.tif", render(grid, local=waves), grid)
     found = register_pair(reference, target, Settings(template=61, window=41, features=150, model=model))
     assert found.status == "registered", found.reason
-    assert found.correction is not None
+    assert found.model is not None
     points = found.tie_points.select("fit", "check", "unused")
     apart = points.displacement_px - waves(points.predicted_px)
     assert np.median(np.hypot(*apart.T)) < 0.15  # the tie points themselves are right
@@ -369,19 +369,19 @@ def test_local_displacements_are_taken_out_by_a_spline_or_told_in_a_warning(
         assert found.quality.grade == "poor"
         assert any("local displacements" in warning for warning in found.warnings)
         return
-    assert found.correction.name == "tps"
+    assert found.model.name == "tps"
     assert found.warnings == ()
-    error = found.correction.forward(points.predicted_px) - points.predicted_px - waves(points.predicted_px)
+    error = found.model.forward(points.predicted_px) - points.predicted_px - waves(points.predicted_px)
     assert np.median(np.hypot(*error.T)) < 0.15
 
 
 def test_forward_and_backward_agree(tmp_path: Path) -> None:
     pair = write_pair(tmp_path, make_grid((200, 200), offset_m=(12, -9)))
     there, back = pair.run(model="shift"), Pair(pair.target, pair.reference).run(model="shift")
-    assert there.correction is not None
-    assert back.correction is not None
+    assert there.model is not None
+    assert back.model is not None
     zero = np.zeros((1, 2))
-    assert np.abs(there.correction.forward(zero) + back.correction.forward(zero)).max() <= 0.02
+    assert np.abs(there.model.forward(zero) + back.model.forward(zero)).max() <= 0.02
 
 
 def test_same_file_and_band_is_registered_with_zero_displacement_and_a_warning(tmp_path: Path) -> None:
@@ -404,7 +404,7 @@ def test_displacement_beyond_a_given_radius_is_refused(tmp_path: Path) -> None:
     grid = make_grid((260, 260))
     found = write_pair(tmp_path, grid, grid, shift_px=(41.2, -30.7)).run(search_radius=10)
     assert found.status == "rejected"
-    assert found.correction is None
+    assert found.model is None
     assert "raise --search-radius" in (found.reason or "")
     assert "--prealign search" in (found.reason or "")  # not made, as a radius was given
     assert not found.prealignment.searched
@@ -473,9 +473,9 @@ def assert_identical(a: Registration, b: Registration) -> None:
     for name in ("reference_px", "target_px", "covariance_px2", "residual_px", "status"):
         np.testing.assert_array_equal(getattr(a.tie_points, name), getattr(b.tie_points, name))
     assert a.counts == b.counts
-    assert a.correction is not None
-    assert b.correction is not None
-    assert a.correction.to_dict() == b.correction.to_dict()
+    assert a.model is not None
+    assert b.model is not None
+    assert a.model.to_dict() == b.model.to_dict()
 
 
 @pytest.mark.parametrize("jobs", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
@@ -537,7 +537,7 @@ def test_match_only_fits_nothing(tmp_path: Path) -> None:
     pair = write_pair(tmp_path, make_grid((200, 200)))
     found = register_pair(pair.reference, pair.target, Settings(**SMALL), match_only=True)
     assert found.status == "matched"
-    assert found.correction is None
+    assert found.model is None
     assert set(found.tie_points.status) <= {"matched", "rejected"}
     assert np.isnan(found.tie_points.residual_px).all()
 
@@ -563,5 +563,5 @@ def test_a_correction_that_does_not_hold_is_refused_with_its_figures(
     assert "only 12 % of the matches agree" in found.reason
     assert "13.40 px" in found.reason
     assert found.quality == poor
-    assert found.correction is None
+    assert found.model is None
     assert summarise(found, []).quality

@@ -139,11 +139,11 @@ def test_shows_the_table_of_models_and_not_their_thousands_of_numbers(registrati
     points = made.tie_points.select("fit")
     args = points.predicted_px, points.target_px, points.covariance_px2, 41.0
     by_hand = choose(*args, ("tps",))
-    page = read(replace(made, selection=by_hand, correction=by_hand.fit.correction))
+    page = read(replace(made, selection=by_hand, model=by_hand.fit.correction))
     assert "tps" in page.text
     assert "coefficients" not in page.text
     chosen = choose(*args)
-    page = read(replace(made, selection=chosen, correction=chosen.fit.correction))
+    page = read(replace(made, selection=chosen, model=chosen.fit.correction))
     assert "does not predict significantly better than shift" in page.text
     assert f"{chosen.candidates[0].rmse_px:.3f} ±" in page.text
 

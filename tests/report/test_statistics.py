@@ -86,7 +86,7 @@ def test_the_json_is_what_its_schema_says(registration: Make, status: str, n: in
     if status == "registered":
         points = made.tie_points.select("fit")
         chosen = choose(points.predicted_px, points.target_px, points.covariance_px2, 41.0)
-        made = replace(made, selection=chosen, correction=chosen.fit.correction)
+        made = replace(made, selection=chosen, model=chosen.fit.correction)
     report = json.loads(to_json(summarise(made, ["report.json"])))
     schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)

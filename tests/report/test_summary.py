@@ -58,8 +58,8 @@ def test_accuracy_is_the_registration_s_in_both_units(registration: Make) -> Non
 
 def test_model_keeps_full_precision(registration: Make) -> None:
     made = registration()
-    assert made.correction is not None
-    made.correction.matrix[0, 2] = 1.2345678901234567  # type: ignore[attr-defined]
+    assert made.model is not None
+    made.model.matrix[0, 2] = 1.2345678901234567  # type: ignore[attr-defined]
     read = json_of(made)
     assert read["model"]["forward"]["matrix"][0][2] == 1.2345678901234567
 
@@ -68,7 +68,7 @@ def test_model_tells_what_it_was_chosen_from(registration: Make) -> None:
     made = registration()
     points = made.tie_points.select("fit")
     selection = choose(points.predicted_px, points.target_px, points.covariance_px2, 41.0)
-    made = replace(made, selection=selection, correction=selection.fit.correction)
+    made = replace(made, selection=selection, model=selection.fit.correction)
     model = json_of(made)["model"]
     np.testing.assert_allclose(
         from_dict(model).forward(points.predicted_px), selection.fit.correction.forward(points.predicted_px)

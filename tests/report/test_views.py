@@ -100,9 +100,9 @@ def test_what_cannot_be_read_costs_the_views_only(registration: Make, made: Regi
     assert pair_views(registration()) == []
     assert read_backdrop(registration().reference) is None
     assert pair_views(registration("rejected", n=0)) == []
-    refused = replace(made, tie_points=made.tie_points[:0], correction=None)
+    refused = replace(made, tie_points=made.tie_points[:0], model=None)
     assert [view.title for view in pair_views(refused)] == ["the middle"]
-    only_before = pair_views(replace(made, correction=None))
+    only_before = pair_views(replace(made, model=None))
     assert only_before[0].after is None
 
 
@@ -137,7 +137,7 @@ def test_a_small_raster_shows_what_a_large_one_would(
 )
 def test_a_correction_that_leads_nowhere_shows_nothing(made: Registration, correction: Correction) -> None:
     """Positions beyond its horizon, and beyond all whole numbers."""
-    views = pair_views(replace(made, correction=correction))
+    views = pair_views(replace(made, model=correction))
     assert len(views) == 2
     for view in views:
         assert view.before.any()

@@ -42,7 +42,7 @@ STILL_INNER = {
         plan read_overviews set_up
     """,
     "raster": """
-        BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera DataArrayLike GDAL_ERRORS LIBRARY_ERRORS
+        BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera GDAL_ERRORS LIBRARY_ERRORS
         MATCHING_GRIDS MM_PER_UNIT ONLY_PIXELS OUTPUT_GRIDS PLACEMENT Raster RasterLike SQLITE_HEAD Scratch
         TERMS TiltedGrid Undulation VectorLayer Vertical accepted apply apply_bias apply_inverse bands_of
         bias_error_px camera_of carried check_covered check_dataset check_format checked_vector composed
@@ -55,8 +55,9 @@ STILL_INNER = {
         parse_rpc_text pixel_size_m place_by_rpc plain_uri plan_rpc_views polynomial_terms read_layers
         read_raster reading referred relief requested_ortho_grids root_cause same same_band scratch_folder
         share_plane sink small_block_cache source sqlite_file to_gdal to_raster tree_of utm_zone_of
-        verify_output view vrt warping with_areas with_bands with_compression_blocks with_height_offset
-        without_shared_fill without_undeclared write_cog write_corrected_vrt write_rpc_text write_rpc_vrt
+        verify_output view vrt warp_in_memory warping with_areas with_bands with_compression_blocks
+        with_height_offset without_shared_fill without_undeclared write_cog write_corrected_vrt
+        write_rpc_text write_rpc_vrt
         xmp_of
     """,
 }

@@ -16,7 +16,9 @@ from pcwlad_geo.multi.cube.run import PlacedDate, mean_displacement_m
 from pcwlad_geo.multi.cube.scenes import whole_numbers
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import GridRequest, OutputFormat, plain_name, trusting
-from pcwlad_geo.raster.arrays import RasterLike, Scratch, like_the_source, read_raster
+from pcwlad_geo.raster.arrays import RasterLike, like_the_source
+from pcwlad_geo.raster.raster import read_raster
+from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.registration import register_pair
 from pcwlad_geo.report.finished import finished
 
@@ -41,7 +43,7 @@ def register_image(
     with trusting(settings.trust):
         with open_job_runner(settings, None, on_event) as runner:
             registration = register_pair(*uris, settings, on_event=on_event, runner=runner)
-        if registration.status == "rejected" or registration.correction is None:
+        if registration.status == "rejected" or registration.model is None:
             raise RegistrationRejectedError(str(registration.reason), registration)
         exact = GridRequest(mode="reference-exact")
         output = WarpOutput(
@@ -56,7 +58,7 @@ def register_image(
             True,
             partial(only_warnings, on_event),
         )
-    grid, correction = registration.target.grid, registration.correction
+    grid, correction = registration.target.grid, registration.model
     sigma_m, px_m, selection = np.nan, registration.px_m, registration.selection
     if px_m is not None and selection is not None:
         sigma_m = float(np.sqrt(np.mean((selection.sigma(grid.lattice_px(5)) * px_m) ** 2)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import Grid, georeferencing_of
-from pcwlad_geo.raster.arrays import Raster
+from pcwlad_geo.raster.raster import Raster
 
 AXES: Final = (("time", "t"), ("y", "lat", "latitude"), ("x", "lon", "longitude"))
 """Dimensions of a DataArray that are times, rows and columns."""

@@ -25,8 +25,8 @@ from pcwlad_geo.multi.stack.run import placed
 from pcwlad_geo.multi.stack.verdict import grade_images
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Grid, trusting
-from pcwlad_geo.raster.arrays import Scratch
 from pcwlad_geo.raster.crs import displacement_m
+from pcwlad_geo.raster.scratch import Scratch
 
 OF_FILES: Final = ("require", "keep", "like", "grid", "of", "co", "write_sigma", "write_displacement", "pdf")
 """Options about the files of a stack, of which a cube writes none."""

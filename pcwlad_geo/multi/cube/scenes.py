@@ -17,8 +17,9 @@ from pcwlad_geo.in_memory import nodata_of, pixels_of
 from pcwlad_geo.multi.cube.layout import CubeLayout, grid_of, same_pixels
 from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.raster import OutputFormat, describe, open_raster, plain_name, warp
-from pcwlad_geo.raster.arrays import Raster, Scratch
 from pcwlad_geo.raster.masks import accepted
+from pcwlad_geo.raster.raster import Raster
+from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.types import Bool
 
 

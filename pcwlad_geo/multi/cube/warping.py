@@ -14,7 +14,8 @@ from pcwlad_geo.multi.cube.layout import CubeLayout
 from pcwlad_geo.multi.cube.run import PlacedDate
 from pcwlad_geo.multi.cube.scenes import nodata_value
 from pcwlad_geo.raster import Grid, OutputFormat, warp
-from pcwlad_geo.raster.arrays import Raster, Scratch, read_raster
+from pcwlad_geo.raster.raster import Raster, read_raster
+from pcwlad_geo.raster.scratch import Scratch
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import AffineCorrection, Correction
 from pcwlad_geo.errors import InputError
@@ -244,8 +245,8 @@ def _worst_registration(
         px_m=None,
         prealignment=Prealignment("georeferencing", (0.0, 0.0), 0),
         tie_points=table,
-        correction=correction,
-        accuracy={},
+        model=correction,
+        accuracy=FitAccuracy(),
         counts={},
         seconds={},
         settings=Settings(),

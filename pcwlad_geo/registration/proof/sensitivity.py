@@ -27,7 +27,8 @@ from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.matching import AUTO_FEATURES
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Patch, Window
-from pcwlad_geo.raster.arrays import Raster, Scratch
+from pcwlad_geo.raster.raster import Raster
+from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.registration.proof.parameters import ProofParameters
 from pcwlad_geo.registration.proof.resampling import Resampler
 from pcwlad_geo.registration.result import Matches, Registration
@@ -224,10 +225,10 @@ def _accepted(registration: Registration) -> TiePointTable:
 def _reversal(part: _TestPart, target: Float64) -> Reversal | None:
     """Return the inverse-consistency error of the two corrections."""
     first, second = part.registered(part.reference, target), part.registered(target, part.reference)
-    if first is None or second is None or first.correction is None or second.correction is None:
+    if first is None or second is None or first.model is None or second.model is None:
         return None
     begin = _accepted(first).predicted_px  # both files have the same grid
-    off = second.correction.forward(first.correction.forward(begin)) - begin
+    off = second.model.forward(first.model.forward(begin)) - begin
     off = off[np.isfinite(off).all(axis=1)]
     rms = float(np.sqrt((off**2).sum(axis=1).mean()))
-    return Reversal(first.correction.name, second.correction.name, float_pair(off.mean(axis=0)), rms)
+    return Reversal(first.model.name, second.model.name, float_pair(off.mean(axis=0)), rms)

@@ -1,0 +1,1 @@
+"""The objects of the Python interface, which compose: tie points, corrections, registrations."""
