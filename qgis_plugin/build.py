@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import os
 import re
 import shutil
 import subprocess
@@ -18,6 +19,8 @@ HERE = Path(__file__).resolve().parent
 PLUGIN = HERE / "pcwlad_geo_qgis"
 SUFFIXES = {".py", ".txt", ".svg", ".ts", ".qm", ".ui", ".qml", ""}
 """Of the files that belong to the plugin; the licence has none."""
+SITE = "PCWLAD_GEO_SITE"
+"""Variable with the address of the project and of its maintainers, such as `https://host/project me@host`."""
 
 
 def build(place: Path) -> list[str]:
@@ -34,12 +37,15 @@ def build(place: Path) -> list[str]:
     ):
         for name, path in files.items():
             if path.name == "metadata.txt":
-                archive.writestr(name, with_changes(path.read_text(encoding="utf-8")))
+                text = with_changes(path.read_text(encoding="utf-8"))
+                archive.writestr(name, published(text, os.environ.get(SITE, "")))
                 continue
             archive.write(path, name)
             if path.suffix == ".ts" and (compiled := _compile(path, Path(folder))):
                 archive.write(compiled, str(Path(name).with_suffix(".qm")))
-        html, pictures = page(PAGE.read_text(encoding="utf-8"), metadata()["homepage"])
+        site = os.environ.get(SITE, "").split(" ")[0]
+        home = f"{site.rstrip('/')}/" if site else metadata()["homepage"]
+        html, pictures = page(PAGE.read_text(encoding="utf-8"), home)
         written = Path(folder) / "index.html"
         written.write_text(html, encoding="utf-8")
         for path in (written, *(PAGE.parent / picture for picture in pictures)):
@@ -57,6 +63,22 @@ def with_changes(text: str) -> str:
     )  # a page is named, or said in words
     plain = " ".join(plain.split()) or "nothing new in the plugin; its engine is of this version"
     return re.sub(r"^changelog=.*$", lambda _: f"changelog={version}: {plain}", text, flags=re.M)
+
+
+def published(text: str, site: str) -> str:
+    """Return the metadata with the addresses of a `SITE`; as it is without one.
+
+    Then only versions before a release (`1.0.0rc1`) are experimental.
+    """
+    if not site:
+        return text
+    address, _, email = site.partition(" ")
+    address, version = address.rstrip("/"), metadata()["version"]
+    values = {"homepage": f"{address}/", "repository": address, "tracker": f"{address}/issues"}
+    values.update(email=email.strip(), experimental=str(re.search(r"[a-z]", version) is not None))
+    for name, value in values.items():
+        text = re.sub(rf"^{name}=.*$", lambda _, line=f"{name}={value}": line, text, flags=re.M)
+    return text
 
 
 def _compile(translation: Path, folder: Path) -> Path | None:

@@ -50,6 +50,8 @@ def steps() -> Iterator[int]:
     dock.reference.setLayer(layers["reference"])
     window.resizeDocks([dock], [430], Qt.Orientation.Horizontal)
     yield from choose(dock, layers)
+    seen["stages"] = []
+    dock._runner.stage.connect(seen["stages"].append)
     dock.start_button.click()
     yield from wait(dock)
     seen["several"] = dock.verdict.text()

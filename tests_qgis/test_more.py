@@ -67,6 +67,7 @@ def test_advanced_choices_are_folded_away_and_every_button_has_a_tooltip(seen: d
 
 def test_several_layers_are_aligned_with_the_choices(seen: dict[str, Any], places: dict[str, str]) -> None:
     assert seen["several"].count("✔") == 2
+    assert {"1 of 2 · target: Matching", "2 of 2 · other: Matching"} <= set(seen["stages"])
     assert "target: The layers fit" in seen["several"]
     assert "other: The layers fit" in seen["several"]
     assert "Model: Affine" in seen["several"]
