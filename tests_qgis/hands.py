@@ -128,6 +128,7 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     dock.start()
     yield from wait(dock)
     seen["aligned"] = dock.verdict.text()
+    seen["focus after"] = window.focusWidget() == dock.start_button
     grab(window, "aligned_1024")
     dock.tabs.setCurrentIndex(1)
     editor = dock.editor
@@ -190,7 +191,8 @@ def keys(editor: Any) -> Iterator[int]:
     QTest.keyClick(iface.mapCanvas(), Qt.Key.Key_Escape)
     yield 300
     ring = editor._marks["reference"].asGeometry().isEmpty()
-    seen["esc"] = [iface.mapCanvas().mapTool() != tool, ring]
+    yield 1000
+    seen["esc"] = [iface.mapCanvas().mapTool() != tool, ring, "Click" not in editor.told.text()]
     seen["menu"] = len(editor.table.actions())
 
 

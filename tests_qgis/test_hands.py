@@ -105,6 +105,7 @@ def test_one_run_at_a_time_whatever_is_pressed(seen: dict[str, Any]) -> None:
     assert seen["idle"]["run_box"] is False
     assert seen["more"] == []  # neither the pair itself, nor left for the next run
     assert seen["tasks"] == ["Executing “Register raster: target”"]
+    assert seen["focus after"] is True
     assert seen["running"] == [True, False, True]
     assert "The layers fit" in seen["aligned"]
     assert [told[:2] for told in seen["told"]] == [[True, False]] * len(seen["told"])
@@ -170,7 +171,7 @@ def test_keys_and_menu_of_the_table(seen: dict[str, Any]) -> None:
         [False, True],
         [False, False],
     ]
-    assert seen["esc"] == [True, True]
+    assert seen["esc"] == [True, True, True]
     assert seen["menu"] == 5
 
 

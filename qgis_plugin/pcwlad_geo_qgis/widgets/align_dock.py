@@ -263,7 +263,7 @@ class AlignDock(gui.QgsDockWidget):
     def _offer(self, running: bool) -> None:
         """Offer what can be done while something runs, or while nothing does."""
         buttons = self.start_button, self.cancel_button
-        had_focus = buttons[not running].hasFocus()
+        had_focus = self.window().focusWidget() == buttons[not running]
         self.footer.run(running)
         for name in OFFERED:
             getattr(self, name).setDisabled(running)

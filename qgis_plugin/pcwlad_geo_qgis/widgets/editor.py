@@ -145,7 +145,9 @@ class PointEditor(QtWidgets.QWidget):
         sip.delete(self._marks["reference"])
 
     def rest(self) -> None:
-        """Put away tools and marks of the main map: another page is shown."""
+        """Put away tools and marks of the main map: another page is shown, or the user is done with them."""
+        if self._tools:
+            self._changed(True)  # what is told is the fit again, not what to click
         self._restore_tools()
         self._marks["reference"].reset(core.QgsWkbTypes.GeometryType.PolygonGeometry)
 
