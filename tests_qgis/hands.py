@@ -128,6 +128,8 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     dock.start()
     yield from wait(dock)
     seen["aligned"] = dock.verdict.text()
+    tree = iface.layerTreeView()
+    seen["unfolded"] = tree.isExpanded(tree.node2index(PROJECT.layerTreeRoot().findGroup("target aligned")))
     seen["focus after"] = window.focusWidget() == dock.start_button
     grab(window, "aligned_1024")
     dock.tabs.setCurrentIndex(1)

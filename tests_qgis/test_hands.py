@@ -106,6 +106,7 @@ def test_one_run_at_a_time_whatever_is_pressed(seen: dict[str, Any]) -> None:
     assert seen["more"] == []  # neither the pair itself, nor left for the next run
     assert seen["tasks"] == ["Executing “Register raster: target”"]
     assert seen["focus after"] is True
+    assert seen["unfolded"] is True
     assert seen["running"] == [True, False, True]
     assert "The layers fit" in seen["aligned"]
     assert [told[:2] for told in seen["told"]] == [[True, False]] * len(seen["told"])

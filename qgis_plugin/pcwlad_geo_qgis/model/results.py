@@ -70,6 +70,8 @@ def show_results(
     for role, title in (("tie_points", tr("Tie points")), ("displacements", tr("Displacement"))):
         source = f"{geopackage}|layername={role}"
         layers[role] = known.get(source) or _add_points(source, title, role == "tie_points", group)
+    for unfolded in (False, True):  # the view takes no heed of it before there are layers in the group
+        group.setExpanded(unfolded)
     return layers, group.name()
 
 
