@@ -30,7 +30,8 @@ DONE = """
     pose = None
     passed, requirements = None, ()
     return made(
-        status="registered", warnings=["two lines"], displacement_px=axes, displacement_m=None,
+        status="registered", reference=made(basemap=None), warnings=["two lines"], displacement_px=axes,
+        displacement_m=None,
         quality=None, passed=passed, requirements=requirements, model=None, prealignment=made(pose=pose),
         tie_points={"total": 130, "fit": 80, "check": 40, "unused": 0, "rejected": 10},
         accuracy={"fit": {"px": None, "m": None}, "check": {"px": figures, "m": None}},
