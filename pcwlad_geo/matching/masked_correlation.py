@@ -121,3 +121,27 @@ def masked_correlation(reference: Channels, target: Channels) -> tuple[Float64, 
     norm = np.sqrt(np.maximum(variance_r, 0) * np.maximum(variance_t, 0))
     correlation = np.divide(covariance, norm, out=np.zeros_like(n), where=norm > 1e-6 * norm.max())
     return correlation, overlap
+
+
+def correlation_at(reference: Channels, target: Channels, shift_xy: tuple[int, int]) -> float:
+    """Return what `masked_correlation` has at one shift (col, row), px; 0 where the two do not overlap."""
+    windows = [
+        (max(-shift, 0), min(n_reference, n_target - shift))
+        for shift, n_reference, n_target in zip(
+            shift_xy, reference.valid.shape[::-1], target.valid.shape[::-1], strict=True
+        )
+    ]
+    (left, right), (top, bottom) = windows
+    if right <= left or bottom <= top:
+        return 0.0
+    col, row = shift_xy
+    here, there = np.s_[top:bottom, left:right], np.s_[top + row : bottom + row, left + col : right + col]
+    valid = (reference.valid[here] > 0) & (target.valid[there] > 0)
+    first, second = (
+        np.asarray(values[valid], np.float64) for values in (reference.values[here], target.values[there])
+    )
+    if len(first) == 0:
+        return 0.0
+    first, second = first - first.mean(axis=0), second - second.mean(axis=0)
+    norm = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return float((first * second).sum()) / norm if norm > 0 else 0.0

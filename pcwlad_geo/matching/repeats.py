@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 
 from pcwlad_geo.matching.channels import Channels, channels_at
-from pcwlad_geo.matching.masked_correlation import masked_correlation
+from pcwlad_geo.matching.masked_correlation import correlation_at, masked_correlation
 from pcwlad_geo.types import Bool, Float32, Float64
 
 Image = tuple[Float32, Bool]
@@ -68,7 +68,12 @@ def rivals_of(reference: Image, target: Image, shift_xy: Float64) -> list[Rival]
     highest = repeat[_is_peak(repeat) & (distance > by.apart_px)].max(initial=0.0)
     if highest * np.sqrt(first.valid.sum()) < by.least_z:
         return []
-    surface, overlap = masked_correlation(first, channels_at(*target, step))
+    second, near_repeat = channels_at(*target, step), cv2.dilate(repeat, np.ones((5, 5)))
+    least_fit = correlation_at(first, second, np.rint(shift_xy / step).astype(int).tolist())
+    strongest = near_repeat[distance > by.apart_px].max(initial=0.0)
+    if strongest <= by.least_repeat * least_fit / by.clear_ratio:
+        return []  # a rival fits that well at least, and no repeat reaches its share of that
+    surface, overlap = masked_correlation(first, second)
     fit, origin = surface.astype(np.float32), rows_cols - 1
     at = np.clip(np.rint(shift_xy[::-1] / step).astype(int) + origin, 0, np.array(fit.shape) - 1)
     row, col = at.tolist()
@@ -83,10 +88,7 @@ def rivals_of(reference: Image, target: Image, shift_xy: Float64) -> list[Rival]
         (np.hypot(*offset.T) > by.apart_px)
         & (height * root > by.least_z)
         & ((height - own_fit) * root > -by.clear_z)
-        & (
-            cv2.dilate(repeat, np.ones((5, 5)))[tuple(place.T)]
-            > by.least_repeat * np.minimum(height, own_fit)
-        )
+        & (near_repeat[tuple(place.T)] > by.least_repeat * np.minimum(height, own_fit))
     )
     is_better = (height > by.clear_ratio * own_fit) & ((height - own_fit) * root > by.clear_z)
     order = np.argsort(-height, kind="stable")

@@ -59,3 +59,27 @@ def test_a_scene_larger_than_what_is_compared() -> None:
     rivals = rivals_of(_image(reference), _image(target), np.array([4.0, 36.0]))
     assert rivals[0].is_better
     assert_allclose(rivals[0].shift_xy, (4.0, 6.0), atol=2.0)
+
+
+@pytest.mark.parametrize("kind", PATTERNS)
+@pytest.mark.parametrize("periods", [0, 1])
+def test_what_is_left_out_for_speed_holds_no_rival(
+    kind: str, periods: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fit of 0 at the displacement leaves nothing out."""
+    quick = _rivals(kind, periods)
+    monkeypatch.setattr("pcwlad_geo.matching.repeats.correlation_at", lambda *_: 0.0)
+    whole = _rivals(kind, periods)
+    assert [(*rival.shift_xy, rival.is_better) for rival in quick] == [
+        (*rival.shift_xy, rival.is_better) for rival in whole
+    ]
+
+
+def test_ground_that_hardly_repeats_is_not_compared_at_all_shifts(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = gaussian_filter(np.random.default_rng(0).normal(size=(200, 220)), 2)
+    calls: list[object] = []
+    monkeypatch.setattr("pcwlad_geo.matching.repeats.masked_correlation", lambda *_: calls.append(1))
+    assert (
+        rivals_of(_image(values), _image(np.roll(values, (3, -4), axis=(0, 1))), np.array([-4.0, 3.0])) == []
+    )
+    assert not calls
