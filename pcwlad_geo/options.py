@@ -85,6 +85,7 @@ _WRITING: Final = ("register", "match")
 _REPORTING: Final = ("register", "match", "qa")
 _PROVING: Final = (*_REPORTING, "stack")
 _MATCHING: Final = (*_PROVING, "prove")
+_SIGNING: Final = (*_MATCHING, "batch")
 _CORRECTING: Final = ("register", "stack")
 _WARPING: Final = ("register", "warp")
 _KEEPING: Final = ("register", "batch", "stack")
@@ -418,6 +419,16 @@ class Settings:
         False, "Let rasters refer to files anywhere: your own VRTs, HDF5, formats with labels.", _EVERYWHERE
     )
     """Rasters may make GDAL open whatever they name, wherever it is (docs/security.md)."""
+    sign: str | None = option(
+        None,
+        "Function that signs the addresses of rasters, such as planetary_computer:sign.",
+        _SIGNING,
+        metavar="MODULE:FUNCTION",
+        check=_FUNCTION,
+    )
+    """Function that returns the address to ask for, given a web address, ``package.module:function``. It is
+    called whenever a raster is opened, and what it returns is written nowhere. Its module is imported, that
+    is, run."""
     tile_size: int = option(
         1024,
         "Core of a tile, matching-grid px (without its halo).",
@@ -449,7 +460,7 @@ class Settings:
     @property
     def trust(self) -> Trust:
         """Permissions of the rasters of the job to make GDAL open files."""
-        return Trust(remote=self.allow_remote, vrt=self.trust_vrt)
+        return Trust(self.allow_remote, self.trust_vrt, self.sign or "")
 
     @property
     def files(self) -> tuple[Path | str, ...]:
@@ -599,6 +610,7 @@ class PairOptions(TypedDict, total=False):
     tile_size: int
     allow_remote: bool
     trust_vrt: bool
+    sign: str | None
     jobs: int | None
     scheduler: str | None
 
@@ -612,7 +624,7 @@ class Options(PairOptions, total=False):
 
 SETTINGS: Final = tuple(field.name for field in fields(Settings))
 """Names of all fields of `Settings`."""
-RUNNING: Final = ("jobs", "scheduler", "allow_remote", "trust_vrt")
+RUNNING: Final = ("jobs", "scheduler", "allow_remote", "trust_vrt", "sign")
 """Those that say where a job runs and what it may open: its result does not depend on them."""
 NOT_IN_TABLES: Final = (*RUNNING, "start_matcher")
 """Those that a table of pairs, which may be a stranger's, cannot set."""

@@ -65,9 +65,9 @@ def read_config(path: Path) -> dict[str, object]:
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or nested too deeply
         raise SettingsError(f"config file {path} is not valid TOML: {error}") from error
     values = {name.replace("-", "_"): value for name, value in values.items()}
-    if "start_matcher" in values:
+    for name in {"start_matcher", "sign"} & set(values):
         raise SettingsError(
-            f"config file {path}: start_matcher runs code, which no file may name: give --start-matcher"
+            f"config file {path}: {name} runs code, which no file may name: give --{name.replace('_', '-')}"
         )
     unknown = sorted(set(values) - set(SETTINGS))
     if unknown:
@@ -90,6 +90,8 @@ def argument(metavar: str, text: str) -> Any:  # noqa: ANN401  # as typer's
 ProgressStyle = Literal["auto", "bar", "json", "none"]
 
 _KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
+ALSO = {"ref_band": ("--ref-asset",), "tgt_band": ("--tgt-asset",)}
+"""Further flags of options: the bands of a STAC item are its assets."""
 _DEFAULTS = {field.name: field.default for field in fields(Settings)}
 _HINTS = get_type_hints(Settings)
 _SECTIONS = section_of_options()
@@ -135,9 +137,9 @@ def _annotation(name: str, option: Option) -> object:
     text = option.none_word if default is None else default
     if text is not None and text is not False and text != ():
         help_text += f"  [default: {text}]"
-    flag = "--" + name.replace("_", "-")
+    flags = ["--" + name.replace("_", "-"), *ALSO.get(name, ())]
     how = typer.Option(
-        flag, help=help_text, metavar=option.metavar, show_default=False, rich_help_panel=_SECTIONS[name]
+        *flags, help=help_text, metavar=option.metavar, show_default=False, rich_help_panel=_SECTIONS[name]
     )
     return Annotated[_type_of(name, option) | None, how]
 

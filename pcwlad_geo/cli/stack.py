@@ -25,11 +25,20 @@ if TYPE_CHECKING:
 IMAGE_COLUMNS = ("image", "quality", "shift px", "sigma px", "sigma m", "pairs")
 """Header of the table of images."""
 ImageArguments = Annotated[
-    list[str],
+    list[str] | None,
     o.argument(
         "IMAGE…",
         "Rasters, products or STAC items; a folder of rasters; a table (CSV) with a column image. "
         "With --add: the output folder of the stack.",
+    ),
+]
+Stac = Annotated[
+    str | None,
+    o.option(
+        "--stac",
+        help="More images: a file of STAC items, or API/search?collections=…&bbox=…&datetime=… (with "
+        "--allow-remote; needs pip install 'pcwlad-geo[stac]').",
+        metavar="SEARCH|FILE",
     ),
 ]
 BandOption = Annotated[
@@ -88,7 +97,8 @@ MaxPairs = Annotated[int | None, o.option("--max-pairs", help="Pairs to match at
 @o.takes_settings("stack")
 def stack(
     context: typer.Context,
-    images: ImageArguments,
+    images: ImageArguments = None,
+    stac: Stac = None,
     out_dir: o.OutDir = None,
     band: BandOption = "1",
     reference: ReferenceName = None,
@@ -100,8 +110,10 @@ def stack(
     allow_components: AllowComponents = False,
 ) -> None:
     """Adjust many images of one ground together, into one frame; pairs matched before are kept."""
-    params = context.params
-    folder = images[0] if add else out_dir
+    if not images and stac is None:
+        raise typer.BadParameter("give images, or --stac", param_hint="IMAGE…")
+    params = {**context.params, "images": images or []}
+    folder = images[0] if add and images else out_dir
     run_guarded(params, lambda on_event: _stack(params, on_event), lambda: abandon_stack(folder))
 
 
@@ -122,9 +134,9 @@ def _stack(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     return stack_ending(result)
 
 
-OWN = ("reference", "datum", "pairs", "max_pairs", "gcps", "allow_components", "overwrite")
+OWN = ("stac", "reference", "datum", "pairs", "max_pairs", "gcps", "allow_components", "overwrite")
 """Options of the command's own that the API has under the same names."""
-NOT_WITH_ADD = ("reference", "pairs", "max_pairs", "gcps", "allow_components", "overwrite", "out_dir")
+NOT_WITH_ADD = ("stac", "reference", "pairs", "max_pairs", "gcps", "allow_components", "overwrite", "out_dir")
 """Options that a stack has had before an image is added to it."""
 
 

@@ -33,6 +33,7 @@ KINDS: Final = Registry(
         "pcwlad_geo.products.spectral:ENMAP",
         "pcwlad_geo.products.spectral:DESIS",
         "pcwlad_geo.products.ecostress:ECOSTRESS",
+        "pcwlad_geo.products.stac:STAC",
     ),
 )
 """The kinds of products."""

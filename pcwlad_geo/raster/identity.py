@@ -14,6 +14,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.file_tree import plain_uri
 from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.trust.file_kinds import HEAD_BYTES, kind_of_head
+from pcwlad_geo.raster.trust.signing import signed, unsigned
 
 HEADER_BYTES: Final = 65536
 """Number of bytes at the beginning of a file that count as its header."""
@@ -166,7 +167,7 @@ def _of_server(url: str) -> FileIdentity | None:
     from email.utils import parsedate_to_datetime
     from http.client import HTTPException
 
-    request = urllib.request.Request(url, method="HEAD")
+    request = urllib.request.Request(signed(url), method="HEAD")
     try:
         with urllib.request.urlopen(request, timeout=10.0) as answer:
             said = answer.headers
@@ -201,4 +202,4 @@ def _files_of(uri: str) -> list[str]:
     Raises `InputError` if the raster cannot be opened.
     """
     with open_raster(uri) as dataset:
-        return list(dataset.files)
+        return [unsigned(file) for file in dataset.files]

@@ -31,6 +31,7 @@ from pcwlad_geo.raster.trust.file_kinds import (
 )
 from pcwlad_geo.raster.trust.local_files import SIDECARS, Place, UntrustedFileError, place_of
 from pcwlad_geo.raster.trust.permissions import current_trust
+from pcwlad_geo.raster.trust.signing import signed
 from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined
 
 TRUST_VRT: Final = "give --trust-vrt if you trust whoever made it with all files that you can read"
@@ -74,7 +75,7 @@ def open_own(path: str | os.PathLike[str], **options: object) -> DatasetReader:
 
 
 def _dataset_of(uri: str, drivers: list[str] | None, options: dict[str, object]) -> DatasetReader:
-    return DatasetReader(gdal_name(uri), driver=drivers, **options)
+    return DatasetReader(gdal_name(signed(uri)), driver=drivers, **options)
 
 
 def _drivers(uri: str, address: Destination, place: Place | None) -> list[str]:

@@ -20,6 +20,7 @@ from rasterio.io import DatasetReader
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.trust.signing import unsigned
 
 # Georeferencing that a corrected raster must not inherit, and domains that GDAL derives by itself or would
 # write into a file of its own (IMD, of DigitalGlobe, where it also puts the text of an MTL).
@@ -175,7 +176,7 @@ def with_rpc(source: DatasetReader, rpc: Mapping[str, str], *, mask_as_alpha: bo
     nodata, or a mask band) is added as an alpha band.
     """
     file = Path(source.name)
-    name = str(file.absolute()) if file.exists() else source.name
+    name = str(file.absolute()) if file.exists() else unsigned(source.name)
     pixels = PixelFile(name, False, has_mask_band(source) and not mask_as_alpha)
     tree = describe_pixels(source, pixels, source.shape)
     _add_tags(tree, {"RPC": dict(rpc)})

@@ -19,6 +19,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, date_in, rasters_of
 from pcwlad_geo.products.product import Product
+from pcwlad_geo.products.stac import mask_of, names_of, raster_assets, uri_of
 from pcwlad_geo.raster import Bands, RasterInfo, describe, file_name, is_folder, plain_name
 from pcwlad_geo.text import is_uri, read_json, read_text, whole
 from pcwlad_geo.types import PathLike
@@ -216,7 +217,7 @@ def _of_stac(place: Path, band: int | str) -> Iterator[StackInput]:
     items = content.get("features") if isinstance(content, dict) and "features" in content else [content]
     for item in items if isinstance(items, list) else [{}]:
         try:
-            yield _of_item(item, place, band)
+            yield input_of_item(item, place, band)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise InputError(
                 f"{place} is no STAC item, nor a collection of items: it needs id, properties and assets "
@@ -224,15 +225,15 @@ def _of_stac(place: Path, band: int | str) -> Iterator[StackInput]:
             ) from error
 
 
-def _of_item(item: Mapping[str, Any], place: Path, band: int | str) -> StackInput:
+def input_of_item(item: Mapping[str, Any], place: Path, band: int | str) -> StackInput:
+    """Return the image of a STAC item that the file `place` holds; its assets are named from there."""
     properties, assets = item["properties"], item["assets"]
-    href = str(_asset(str(item["id"]), assets, band)["href"]).removeprefix("file://")
-    remote = "://" in href or href.startswith("/")
     cloud, sun = properties.get("eo:cloud_cover"), properties.get("view:sun_elevation")
     return StackInput(
-        href if remote else os.fspath(place.parent / href),
+        uri_of(_asset(str(item["id"]), assets, band), place.parent),
         band if isinstance(band, str) and Bands.of_file("", band) else 1,
         plain_name(str(item["id"])),
+        mask_of(assets, place.parent),
         date=str(properties.get("datetime") or properties.get("start_datetime") or "") or None,
         sun_elevation=None if sun is None else float(sun),
         cloud=None if cloud is None else float(cloud) / 100,
@@ -249,16 +250,10 @@ def _address_of(item: Mapping[str, Any], place: Path) -> str:
 
 def _asset(name: str, assets: Mapping[str, Any], band: int | str) -> Mapping[str, Any]:
     """Return the asset of a band's name, or the only one that is an image."""
-    images: dict[str, Mapping[str, Any]] = {}
     for key, asset in assets.items():
-        bands = [*asset.get("eo:bands", ()), *asset.get("bands", ())]
-        names = [key, *(band_entry.get(word) for band_entry in bands for word in ("name", "common_name"))]
-        if isinstance(band, str) and band in names:
+        if isinstance(band, str) and band in names_of(key, asset):
             return dict(asset)
-        roles = asset.get("roles") or ()
-        kind = str(asset.get("type", "")).startswith(("image/tiff", "image/jp2", "image/vnd.stac"))
-        if "data" in roles or (kind and not {"thumbnail", "overview"} & set(roles)):
-            images[key] = asset
+    images = raster_assets(assets)
     if not Bands.of_file("", band) or len(images) != 1:
         raise InputError(
             f"the STAC item {name} has the images {', '.join(images) or 'none'}: give --band with one of them"
@@ -267,10 +262,14 @@ def _asset(name: str, assets: Mapping[str, Any], band: int | str) -> Mapping[str
 
 
 def readable_images(
-    images: Sequence[PathLike], settings: Settings, tell: EventCallback, old: Sequence[StackInput] = ()
+    images: Sequence[PathLike],
+    settings: Settings,
+    tell: EventCallback,
+    old: Sequence[StackInput] = (),
+    stac: Sequence[StackInput] = (),
 ) -> tuple[list[StackInput], list[RasterInfo], dict[str, str]]:
     """Return the images that can be read, those of an old stack first, and the reasons of the others."""
-    inputs = [*old, *listed(images, settings.ref_band)]
+    inputs = [*old, *listed(images, settings.ref_band), *stac]
     readable: dict[str, StackInput] = {}
     infos: list[RasterInfo] = []
     unreadable: dict[str, str] = {}

@@ -44,6 +44,7 @@ from pcwlad_geo.multi.stack.positions import stack_of
 from pcwlad_geo.multi.stack.result import Chosen, Stack
 from pcwlad_geo.multi.stack.rpc_images import has_rpcs, place_images
 from pcwlad_geo.multi.stack.rpc_run import stack_of_rpcs
+from pcwlad_geo.multi.stack.search import stac_images
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
 from pcwlad_geo.raster import trusting
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
 def stack(
     images: Sequence[PathLike],
     *,
+    stac: PathLike | None = None,
     out_dir: PathLike | None = None,
     band: int | str = 1,
     reference: str | None = None,
@@ -85,6 +87,9 @@ def stack(
         Rasters or products; folders, of which all rasters are taken; STAC items; tables (CSV) with a column
         `image`, paths relative to their folder, and if known `name`, `band`, `mask`, `date`,
         `sun_elevation` and `cloud`. Names, without folder and extension, must differ.
+    stac : path or URL, optional
+        More images: a file with a collection of STAC items, or a search of a STAC API,
+        ``https://API/search?collections=…&bbox=…&datetime=…`` (needs `allow_remote` and pystac-client).
     out_dir : path, optional
         Output folder; ``stack`` in the working folder by default.
     band : int or str
@@ -133,7 +138,8 @@ def stack(
     out = OutputFolder(job.folder, overwrite=True, results=NUMBERS, inputs=images)
     with trusting(job.settings.trust), out:
         images, reference = with_reference(images, reference, band)
-        inputs, infos, unreadable = readable_images(images, job.settings, job.tell)
+        more = () if stac is None else stac_images(stac, job.settings.ref_band, job.settings.trust)
+        inputs, infos, unreadable = readable_images(images, job.settings, job.tell, stac=more)
         files = [*images, *(file for file in (pairs, gcps) if file is not None)]
         if has_rpcs(infos, job.settings):
             block = place_images(inputs, infos, reference, job.settings, unreadable, job.tell)

@@ -17,6 +17,8 @@ class Trust:
     """Rasters over a network that the user names."""
     vrt: bool = False
     """All files that a raster names, wherever they are, and formats whose files name others."""
+    sign: str = ""
+    """Function of the user that signs addresses, ``module:function``; empty: none does."""
 
 
 _current: Final[ContextVar[Trust]] = ContextVar("pcwlad_geo_trust", default=Trust())  # noqa: B039  # frozen
