@@ -28,6 +28,7 @@ import pcwlad_geo
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import Matches, match_pair, prepare_pair
+from pcwlad_geo.tiepoints.table import TiePointTable
 
 mpl.use("agg")
 from matplotlib import pyplot as plt
@@ -335,7 +336,7 @@ def before_after() -> Figure:
     return figure
 
 
-def draw_points(axis: Axes, red: Image, points: pcwlad_geo.TiePointTable) -> None:
+def draw_points(axis: Axes, red: Image, points: TiePointTable) -> None:
     """Draw displacements as arrows over the whole red band, coloured by their sigma."""
     rows, cols = red.shape
     low, high = np.nanpercentile(red, (1, 99))

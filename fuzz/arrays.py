@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 import pcwlad_geo as pg
+from pcwlad_geo import matching
 
 SHAPE: Final = (140, 150)
 DTYPES: Final = (
@@ -140,14 +141,14 @@ def call(random: Random) -> tuple[str, Callable[[], object]]:
     images = (one, other) if random.random() < 0.5 else (other, one)
     kind = random.randrange(6)
     if kind == 0:
-        return "match_arrays, images", lambda: pg.match_arrays(*images)
+        return "match_arrays, images", lambda: matching.match_arrays(*images)
     if kind == 1:
         name = random.choice(("reference_valid", "target_valid"))
-        return f"match_arrays, {name}", lambda: pg.match_arrays(one, one, **{name: other})
+        return f"match_arrays, {name}", lambda: matching.match_arrays(one, one, **{name: other})
     if kind == 2:
         name = random.choice(SETTINGS)
-        return f"MatchSettings, {name}", lambda: pg.match_arrays(
-            one, one, settings=pg.MatchSettings(**{name: value})
+        return f"MatchSettings, {name}", lambda: matching.match_arrays(
+            one, one, settings=matching.MatchSettings(**{name: value})
         )
     if kind == 3:
         return "match, images", lambda: pg.match(*images, jobs=1)

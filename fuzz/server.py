@@ -89,7 +89,7 @@ def warm_up() -> str:
         pair = [str(Path(place) / name) for name in ("ref.tif", "strip.tif")]
         with contextlib.suppress(pcwlad_geo.RequirementError):
             pcwlad_geo.register(*pair, out_dir=Path(place) / "a", require=["points>=100000"], **options)
-        pcwlad_geo.match_files(pair[0], Path(place) / "rpc.tif", out_dir=Path(place) / "b",
+        pcwlad_geo.match(pair[0], Path(place) / "rpc.tif",
                          dem=Path(place) / "dem.tif",
                          dem_vertical=45.0, prealign="search", **options)  # fmt: skip
         pcwlad_geo.qa(pair, out_dir=Path(place) / "c", **options)

@@ -10,7 +10,16 @@ The heavy libraries load when a name is first used, so that ``pcwlad-geo --help`
 
 import lazy_loader
 
+from pcwlad_geo.dropped_names import DROPPED
+
 __version__ = "1.0.0rc1"
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_lazy, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 __all__ = sorted([*__all__, "__version__"])
+
+
+def __getattr__(name: str) -> object:
+    """Return a public name, which is loaded now; say of one that was dropped what takes its place."""
+    if name in DROPPED:
+        raise AttributeError(f"pcwlad_geo.{name} is no longer public: {DROPPED[name]}", name=name)
+    return _lazy(name)

@@ -1,7 +1,6 @@
 """A band of three times the pixel size: compared on its own pixels, tie points good to a part of them."""
 
 import tempfile
-from pathlib import Path
 
 import numpy as np
 from scene import arrows, panels, read, save, show, write_band
@@ -13,7 +12,7 @@ TRUE_SHIFT_PX = np.array([0.6, -0.4])
 with tempfile.TemporaryDirectory() as folder:
     fine = write_band(f"{folder}/fine.tif", pixel_m=10, side=660)
     coarse = write_band(f"{folder}/coarse.tif", "thermal", pixel_m=30, side=220, shift_px=TRUE_SHIFT_PX)
-    points = pcwlad_geo.match_files(fine, coarse, out_dir=Path(folder) / "out").tie_points.select("matched")
+    points = pcwlad_geo.match(fine, coarse).select("matched")
     images = read(fine), read(coarse)
 
 off = points.displacement_px.mean(axis=0) - TRUE_SHIFT_PX

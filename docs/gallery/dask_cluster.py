@@ -12,15 +12,13 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         red = write_band(f"{folder}/red.tif", side=600)
         thermal = write_band(f"{folder}/thermal.tif", "thermal", side=600, shift_px=(1.4, -0.8))
-        alone = pcwlad_geo.match_files(red, thermal, out_dir=folder + "/alone", tile_size=256, jobs=1)
+        alone = pcwlad_geo.match(red, thermal, tile_size=256, jobs=1)
         cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0")
         with cluster, Client(cluster) as client:
             workers = client.get_executor()
-            shared = pcwlad_geo.match_files(
-                red, thermal, out_dir=folder + "/shared", tile_size=256, executor=workers
-            )
+            shared = pcwlad_geo.match(red, thermal, tile_size=256, executor=workers)
         image = read(red)
-    single, clustered = (result.tie_points.select("matched") for result in (alone, shared))
+    single, clustered = (points.select("matched") for points in (alone, shared))
     apart = np.abs(single.target_px - clustered.target_px).max()
     titles = [f"one process: {len(single)} tie points", f"two dask workers: {len(clustered)} tie points"]
     figure, axes = panels(titles)

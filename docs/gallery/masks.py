@@ -17,10 +17,9 @@ with tempfile.TemporaryDirectory() as folder:
     mask = Path(folder) / "mask.tif"  # 0 = excluded
     with rasterio.open(red) as like, rasterio.open(mask, "w", **{**like.profile, "nodata": None}) as file:
         file.write(np.where(cloud_cover(SIDE, SHARE), 0, 1).astype("uint16"), 1)
-    result = pcwlad_geo.match_files(red, thermal, tgt_mask=mask, out_dir=Path(folder) / "out")
+    points = pcwlad_geo.match(red, thermal, tgt_mask=mask).select("matched")
     image = read(thermal)
 
-points = result.tie_points.select("matched")
 figure, axes = panels(["thermal band; dark: cold clouds", f"{len(points)} tie points, none on a cloud"])
 show(axes[0], image)
 show(axes[1], np.where(cloud_cover(SIDE, SHARE), np.nan, image))

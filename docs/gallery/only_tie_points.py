@@ -1,7 +1,6 @@
 """Only measure: where the thermal band shows the ground, against what its georeferencing says."""
 
 import sys
-import tempfile
 
 import numpy as np
 from scene import BLUE, SAMPLE, arrows, panels, read, save, show
@@ -11,11 +10,7 @@ import pcwlad_geo
 sys.path.insert(0, str(SAMPLE))
 from make_sample_data import true_displacement_px
 
-with tempfile.TemporaryDirectory() as folder:
-    result = pcwlad_geo.match_files(
-        SAMPLE / "landsat_b4.tif", SAMPLE / "landsat_b10.tif", out_dir=folder + "/out"
-    )
-points = result.tie_points.select("matched")
+points = pcwlad_geo.match(SAMPLE / "landsat_b4.tif", SAMPLE / "landsat_b10.tif").select("matched")
 
 truth = true_displacement_px(points.predicted_px)
 rmse = np.sqrt(((points.displacement_px - truth) ** 2).sum(axis=1).mean())

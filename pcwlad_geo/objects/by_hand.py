@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from pcwlad_geo.arguments import checked
+from pcwlad_geo.arguments import checked, shown
 from pcwlad_geo.correction.models import AffineCorrection, ProjectiveCorrection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.transforms import (
@@ -54,9 +54,10 @@ def similarity(
         Place (col, row) about which it is turned and scaled, px.
     """
     centre, offset = _numbers(about, (2,), "about"), _numbers([cols, rows], (2,), "cols, rows")
-    if not math.isfinite(angle_deg) or not 0 < scale < math.inf:
-        raise InputError(f"an angle of {angle_deg} and a scale of {scale}: give finite ones, a scale above 0")
-    turned = SimilarityTransform.from_angle(math.radians(angle_deg), scale)
+    angle, factor = _numbers([angle_deg, scale], (2,), "angle_deg, scale").tolist()
+    if factor <= 0:
+        raise InputError(f"scale = {factor:g}: give a scale above 0")
+    turned = SimilarityTransform.from_angle(math.radians(angle), factor)
     moved = ShiftTransform.by(centre + offset) @ turned @ ShiftTransform.by(-centre)
     return affine(moved.matrix[:2], name="similarity")
 
@@ -103,5 +104,5 @@ def _numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Any:  # no
     """Return finite numbers as an array of a shape; raise `InputError` with the name if they are none."""
     try:
         return finite_array(values, shape)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} = {values!r:.200}: give finite numbers of shape {shape}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} = {shown(values):.200}: give finite numbers of shape {shape}") from error

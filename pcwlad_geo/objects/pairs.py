@@ -63,11 +63,11 @@ def matched(
     on_event: EventCallback,
 ) -> tuple[Matches, Scratch]:
     """Match two rasters of any kind; return also what keeps their files."""
+    names, settings, scratch = resolved((reference, target), masks, options, executor)
     default = Settings()
     for name in OF_THE_FOLDER:
-        if options.get(name, getattr(default, name)) != getattr(default, name):
+        if getattr(settings, name) != getattr(default, name):
             raise SettingsError(f"{name} is about a whole job: give it to register")
-    names, settings, scratch = resolved((reference, target), masks, options, executor)
     # points of a file leave workers nothing to do
     tile_executor = InThisProcess() if settings.tie_points else executor
     with trusting(settings.trust), open_job_runner(settings, tile_executor, on_event) as runner:

@@ -12,6 +12,7 @@ import pcwlad_geo as pg
 from pcwlad_geo.matching import MatchSettings, match_arrays
 
 GOOD = np.random.default_rng(4).normal(size=(60, 70)).cumsum(axis=0)
+LARGE = np.random.default_rng(4).normal(size=(130, 130)).cumsum(axis=0)
 
 
 def with_one(value: float) -> Any:
@@ -86,3 +87,9 @@ WRONG: dict[str, Callable[[], object]] = {
 def test_rasters(call: Callable[[], object]) -> None:
     with pytest.raises(pg.InputError):
         call()
+
+
+@pytest.mark.parametrize("also", [[[1, 2, 3]], np.array([[1, 500]])])
+def test_displacements_to_try(also: Any) -> None:
+    with pytest.raises(pg.InputError, match=r"^also\b"):
+        match_arrays(LARGE, LARGE, also=also)

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
 from typing import get_args, get_type_hints
 
 import pytest
@@ -16,30 +18,22 @@ from typing_extensions import Unpack
 
 import pcwlad_geo
 from pcwlad_geo import options as settings
+from pcwlad_geo.dropped_names import DROPPED
+from pcwlad_geo.job import match_files
+from pcwlad_geo.matching import match_arrays
 
 FUNCTIONS = {
-    "affine", "batch", "fit", "load", "match", "match_arrays", "match_files", "open", "projective",
-    "prove", "qa", "register", "shift", "similarity", "shift_files",
-    "rig_apply", "rig_learn", "stack", "stack_add", "warp", "watch",
+    "affine", "batch", "fit", "load", "match", "open", "projective", "prove", "qa", "register", "rig_apply",
+    "rig_learn", "shift", "shift_files", "similarity", "stack", "stack_add", "warp", "watch",
 }  # fmt: skip
-RESULTS = {
-    "Accuracy", "BatchResult", "CaptureOutcome", "Correction", "Decision", "Grid",
-    "Matches", "Pair", "PairResult", "Pose", "Prealignment", "Proof", "QaResult", "Quality", "RasterInfo",
-    "Registration", "RequirementResult", "Rig", "RigApplied", "RigLens", "Stack", "StackImage",
-    "StackPair", "StackQuality", "TiePointTable", "TiePoints", "WatchNumbers",
-}  # fmt: skip
-ARGUMENTS = {
-    "DataArrayLike", "MatchSettings", "Options", "PairOptions", "Raster", "Runner", "Settings", "Trust",
-    "WarpOptions",
-}  # fmt: skip
+RESULTS = {"Correction", "Grid", "Registration", "Rig", "Stack", "TiePoints"}
+ARGUMENTS = {"Raster", "Runner", "Settings"}
 EVENTS = {"Progress", "Warned"}
-ALIASES = {"Event", "EventCallback", "RasterLike"}
-"""Of types, which have no docstring."""
 ERRORS = {
     "CancelledError", "ExecutionError", "InputError", "OutputError", "PcwladGeoError",
     "RegistrationRejectedError", "RequirementError", "SettingsError",
 }  # fmt: skip
-NAMES = sorted(FUNCTIONS | RESULTS | ARGUMENTS | EVENTS | ALIASES | ERRORS)
+NAMES = sorted(FUNCTIONS | RESULTS | ARGUMENTS | EVENTS | ERRORS)
 
 
 def test_the_public_names() -> None:
@@ -50,7 +44,7 @@ def test_the_public_names() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_every_public_name_is_there_and_documented(name: str) -> None:
     member = getattr(pcwlad_geo, name)
-    assert name in ALIASES or inspect.getdoc(member)
+    assert inspect.getdoc(member)
     assert name in dir(pcwlad_geo)
 
 
@@ -75,8 +69,9 @@ def hints_of(function: object) -> dict[str, object]:
         "GeoDataFrame": object,
         "Self": object,
         "Axes": object,
+        "Proof": object,
     }
-    return get_type_hints(function, {**others, **known, **vars(module)})
+    return get_type_hints(function, {**vars(settings), **others, **known, **vars(module)})
 
 
 def public_functions() -> Iterator[object]:
@@ -91,7 +86,7 @@ def public_functions() -> Iterator[object]:
 
 
 def test_what_public_functions_take_and_return_is_public_or_documented() -> None:
-    public = {getattr(pcwlad_geo, name) for name in NAMES if name not in ALIASES}
+    public = {getattr(pcwlad_geo, name) for name in NAMES}
     functions = list(public_functions())
     assert len(functions) > 40
     found = {
@@ -102,6 +97,21 @@ def test_what_public_functions_take_and_return_is_public_or_documented() -> None
         if each not in public and not inspect.getdoc(each)
     }
     assert found == set()
+
+
+def test_names_are_few() -> None:
+    assert len(NAMES) <= 38
+
+
+@pytest.mark.parametrize("name", DROPPED)
+def test_a_name_of_rc1_says_what_takes_its_place(name: str) -> None:
+    with pytest.raises(AttributeError, match=f"pcwlad_geo.{name} is no longer public: ") as caught:
+        getattr(pcwlad_geo, name)
+    assert not hasattr(pcwlad_geo, name)
+    place = re.search(r"import it from ([\w.]+) in", str(caught.value))
+    assert place is None or hasattr(import_module(place[1]), name)
+    page = (Path(__file__).resolve().parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
+    assert f"| `{name}` | {DROPPED[name]} |" in page
 
 
 def test_unknown_names_are_attribute_errors() -> None:
@@ -132,9 +142,7 @@ def test_options_are_the_settings() -> None:
     assert hints == {name: get_type_hints(settings.Settings)[name] for name in names}
 
 
-@pytest.mark.parametrize(
-    "function", [pcwlad_geo.register, pcwlad_geo.match_files, pcwlad_geo.match_arrays, pcwlad_geo.match]
-)
+@pytest.mark.parametrize("function", [pcwlad_geo.register, pcwlad_geo.match, match_files, match_arrays])
 def test_reference_and_target_first_then_keywords_only(function: object) -> None:
     assert callable(function)
     parameters = list(inspect.signature(function).parameters.values())

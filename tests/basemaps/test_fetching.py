@@ -17,6 +17,7 @@ from pcwlad_geo.basemaps import fetching
 from pcwlad_geo.basemaps.services import find_service
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.events import Event, Progress
+from pcwlad_geo.job import match_files
 from pcwlad_geo.raster import Grid
 from tests.basemaps.server import ZOOM, MapServer, map_grid, serving
 from tests.scenes import make_grid, render, write
@@ -101,7 +102,7 @@ def test_a_wms_is_fetched_too(files: tuple[Path, Path, Path], server: MapServer)
     right, bottom = map_grid().to_xy(np.array([[1024.0, 1024.0]]))[0].tolist()
     box = ",".join(map(repr, [left, bottom, right, top]))
     name = f"WMS:{server.address}/wms?LAYERS=ortho&SRS=EPSG:3857&BBOX={box}"
-    found = pcwlad_geo.match_files(name, files[1], out_dir="map", allow_remote=True, **QUICK)
+    found = match_files(name, files[1], out_dir="map", allow_remote=True, **QUICK)
     np.testing.assert_allclose(np.median(found.tie_points.displacement_px, axis=0), SHIFT_PX, atol=0.15)
     assert all("REQUEST=GetMap" in path and "WIDTH=512" in path for path in server.asked)
     assert found.reference.basemap.name == f"{server.address}/wms (ortho)"
@@ -114,7 +115,7 @@ def test_a_wms_is_fetched_too(files: tuple[Path, Path, Path], server: MapServer)
     )
     Path("wms.xml").write_text(described, encoding="utf-8")
     before = set(server.asked)
-    pcwlad_geo.match_files("wms.xml", files[1], out_dir="again", allow_remote=True, **QUICK)
+    match_files("wms.xml", files[1], out_dir="again", allow_remote=True, **QUICK)
     assert {path.partition("BBOX")[2] for path in set(server.asked)} == {
         path.partition("BBOX")[2] for path in before
     }
@@ -174,7 +175,7 @@ def test_a_map_that_ends_at_a_coarser_zoom_is_taken_there(
 ) -> None:
     grid = make_grid((340, 340), pixel_m=14.3, offset_m=(10_500, 9_500))
     fine = write(Path("fine.tif"), render(grid), grid)
-    found = pcwlad_geo.match_files(server.xyz, fine, out_dir="map", allow_remote=True, **QUICK)
+    found = match_files(server.xyz, fine, out_dir="map", allow_remote=True, **QUICK)
     assert found.reference.basemap.pixel_m == pytest.approx(28.6, rel=0.01)
     assert any(path.startswith(f"/tiles/{ZOOM + 1}/") for path in server.asked)
 

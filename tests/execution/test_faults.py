@@ -24,6 +24,7 @@ from pcwlad_geo import ExecutionError, InputError
 from pcwlad_geo.events import Event, Progress, Warned
 from pcwlad_geo.execution.cluster import _inspection, connected
 from pcwlad_geo.execution.runner import OnExecutor
+from pcwlad_geo.job import match_files
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import Registration, match_pair, prepare_pair, register_pair
 from pcwlad_geo.registration.judge import JudgeParameters
@@ -108,7 +109,7 @@ TWICE: dict[str, Any] = {**TILES, "points": 80}
 
 def test_a_tile_that_cannot_be_read_is_left_out_and_told(copy: tuple[Path, Path], tmp_path: Path) -> None:
     damage(copy[1], (LAST, LAST))
-    found = pcwlad_geo.match_files(*copy, out_dir=tmp_path / "out", jobs=1, **TILES)
+    found = match_files(*copy, out_dir=tmp_path / "out", jobs=1, **TILES)
     told = [warning for warning in found.warnings if "left out" in warning]
     assert [warning.split(" left out: ")[0] for warning in told] == ["tile 4", "tile 5", "tile 7", "tile 8"]
     assert all("b10.tif: band 1 cannot be read" in warning for warning in told)
@@ -253,9 +254,7 @@ def two_workers(tmp_path: Path) -> Iterator[Cluster]:
 def on_cluster(
     running: Cluster, pair: tuple[Path, Path], folder: Path, on_event: Any = lambda event: None
 ) -> Registration:
-    return pcwlad_geo.match_files(
-        *pair, out_dir=folder / "out", scheduler=running.address, on_event=on_event, **TILES
-    )
+    return match_files(*pair, out_dir=folder / "out", scheduler=running.address, on_event=on_event, **TILES)
 
 
 @pytest.mark.gate
@@ -365,7 +364,7 @@ def test_a_server_that_is_no_scheduler(greeting: bytes, pair: tuple[Path, Path],
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         try:
             with pytest.raises(ExecutionError, match=f"{address} cannot be reached"):
-                pcwlad_geo.match_files(*pair, out_dir=tmp_path / "out", scheduler=address)
+                match_files(*pair, out_dir=tmp_path / "out", scheduler=address)
         finally:
             ended.set()
             socket.create_connection(server.getsockname()).close()  # it waits for one more
@@ -376,7 +375,7 @@ def test_a_server_that_is_no_scheduler(greeting: bytes, pair: tuple[Path, Path],
 def test_an_address_that_is_none(address: str, pair: tuple[Path, Path], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(ExecutionError, match=f"{address} "):
-        pcwlad_geo.match_files(*pair, out_dir=tmp_path / "out", scheduler=address)
+        match_files(*pair, out_dir=tmp_path / "out", scheduler=address)
     assert not list(tmp_path.iterdir())
 
 
@@ -385,4 +384,4 @@ def test_without_dask_the_message_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # an import of it fails
     with pytest.raises(ExecutionError, match=r"pip install 'pcwlad-geo\[dask\]'"):
-        pcwlad_geo.match_files(*pair, out_dir=tmp_path / "out", scheduler="tcp://127.0.0.1:9")
+        match_files(*pair, out_dir=tmp_path / "out", scheduler="tcp://127.0.0.1:9")

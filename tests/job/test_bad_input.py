@@ -21,6 +21,7 @@ from rasterio.crs import CRS
 import pcwlad_geo
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.raster import warping
 from tests.cli.process import environment, run_cli
 from tests.execution.calls import wait_for_end_of_group
@@ -106,7 +107,7 @@ LONG = 400 * "1"
         lambda ref: pcwlad_geo.register(ref, ref, tgt_mask=LONG),
         lambda ref: pcwlad_geo.register(ref, ref, tie_points=LONG),
         lambda ref: pcwlad_geo.register(ref, ref, out_dir=LONG),
-        lambda ref: pcwlad_geo.match_files(LONG, ref),
+        lambda ref: match_files(LONG, ref),
         lambda ref: pcwlad_geo.match(LONG, ref),
         lambda ref: pcwlad_geo.open(LONG),
         lambda ref: pcwlad_geo.load(LONG),

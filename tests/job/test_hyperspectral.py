@@ -11,8 +11,8 @@ import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
 
-import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.raster import Bands, Grid, Trust, View, Window, describe, trusting
 from pcwlad_geo.raster.combined_bands import with_bands
 from tests.scenes import make_grid, render, write
@@ -44,7 +44,7 @@ def cube(bands: int = 40) -> NDArray[np.int16]:
 def test_infrared_bands_against_visible_ones(tmp_path: Path) -> None:
     """A band alone tells less. Bands that hold nothing, as where water absorbs all light, are left out."""
     path = write(tmp_path / "cube.tif", cube(), GRID, dtype="int16", nodata=NODATA, interleave="pixel")
-    found = pcwlad_geo.match_files(
+    found = match_files(
         path, path, ref_band="pca:1-20", tgt_band="pca:21-40", out_dir=tmp_path / "all", **SMALL
     )
     assert found.warnings == ()
@@ -56,7 +56,7 @@ def test_infrared_bands_against_visible_ones(tmp_path: Path) -> None:
     errors = found.tie_points.select("matched").displacement_px - SHORTWAVE_OFF_PX
     assert len(errors) > 150
     assert np.abs(np.median(errors, axis=0)).max() < 0.08
-    one = pcwlad_geo.match_files(path, path, ref_band=5, tgt_band=35, out_dir=tmp_path / "one", **SMALL)
+    one = match_files(path, path, ref_band=5, tgt_band=35, out_dir=tmp_path / "one", **SMALL)
     assert one.prealignment.matched_by == "grey values"
     points = one.tie_points.select("matched")
     assert len(points) < len(errors) / 2

@@ -18,6 +18,7 @@ from scipy import ndimage
 
 import pcwlad_geo
 from pcwlad_geo.events import Event, Progress
+from pcwlad_geo.job import match_files
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import trusting
 from pcwlad_geo.registration import Registration, register_pair
@@ -265,7 +266,7 @@ def test_on_the_targets_own_grid(pair: tuple[Path, Path], tmp_path: Path) -> Non
 
 
 def test_match_gives_the_points_that_register_fits(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    matched = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "m", **QUICK)
+    matched = match_files(*pair, out_dir=tmp_path / "m", **QUICK)
     registered = pcwlad_geo.register(*pair, out_dir=tmp_path / "r", **QUICK)
     np.testing.assert_array_equal(matched.tie_points.target_px, registered.tie_points.target_px)
     report = json.loads((tmp_path / "m" / "report.json").read_text())

@@ -12,6 +12,7 @@ import pcwlad_geo
 from pcwlad_geo import job
 from pcwlad_geo.errors import RegistrationRejectedError, SettingsError
 from pcwlad_geo.execution.runner import InThisProcess
+from pcwlad_geo.job import match_files
 from pcwlad_geo.report import page
 from tests.scenes import make_grid, render, write
 
@@ -57,7 +58,7 @@ def test_a_refusal_names_the_report_that_there_is(pair: tuple[Path, Path], tmp_p
     grid = make_grid((170, 170))
     write(tmp_path / "other.tif", render(grid, seed=9), grid)
     with pytest.raises(RegistrationRejectedError, match=r"report: bare.report\.json\)"):
-        pcwlad_geo.match_files(
+        match_files(
             pair[0],
             tmp_path / "other.tif",
             out_dir="bare",

@@ -16,6 +16,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.spatial import cKDTree
 
 import pcwlad_geo
+from pcwlad_geo.job import match_files
 from pcwlad_geo.raster import describe, plan_views
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.statistics import coverage_of
@@ -81,7 +82,7 @@ def test_every_output_of_register_holds_as_many(registered: tuple[Registration, 
 
 
 def test_every_output_of_match_holds_as_many(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    found = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "m", points=WANTED, **SMALL)
+    found = match_files(*pair, out_dir=tmp_path / "m", points=WANTED, **SMALL)
     assert set(held(tmp_path / "m").values()) == {WANTED}
     assert np.count_nonzero(found.tie_points.status == "matched") == WANTED
 
@@ -105,8 +106,8 @@ def test_squares_whose_points_were_left_out_are_not_called_unmatched(
 
 
 def test_more_than_are_found_are_all_that_are_found(pair: tuple[Path, Path], tmp_path: Path) -> None:
-    every = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "all", **SMALL)
-    more = pcwlad_geo.match_files(*pair, out_dir=tmp_path / "more", points=5000, **SMALL)
+    every = match_files(*pair, out_dir=tmp_path / "all", **SMALL)
+    more = match_files(*pair, out_dir=tmp_path / "more", points=5000, **SMALL)
     np.testing.assert_array_equal(more.tie_points.target_px, every.tie_points.target_px)
     assert more.counts["tie_points"] == every.counts["tie_points"]
     assert set(held(tmp_path / "more").values()) == {every.counts["tie_points"]}

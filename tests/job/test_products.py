@@ -12,6 +12,7 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, OutputError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.products import Product, finding
 from pcwlad_geo.raster import Grid, map_px
 from tests.product_files import LANDSAT, SAFE, SHIFT_M, grid_of, packed, seen_by, write_landsat, write_safe
@@ -104,9 +105,7 @@ def test_sentinel2_to_landsat(level: str, tmp_path: Path) -> None:
 
 def test_an_archive_without_an_index_is_warned_of(tmp_path: Path) -> None:
     scene = packed(write_landsat(tmp_path, bands=("B4", "B10")), ".tar.gz")
-    found = pcwlad_geo.match_files(
-        scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL
-    )
+    found = match_files(scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL)
     assert ["unpack it" in warning for warning in found.warnings].count(
         True
     ) == 1  # of one archive, said once
@@ -116,7 +115,7 @@ def test_a_mask_given_replaces_that_of_the_product(tmp_path: Path) -> None:
     scene = write_landsat(tmp_path, bands=("B4", "B10"))
     mask = tmp_path / "mask.tif"
     mask.write_bytes((scene / f"{LANDSAT}_B4.TIF").read_bytes())
-    found = pcwlad_geo.match_files(
+    found = match_files(
         scene, scene, ref_band="B4", tgt_band="B10", tgt_mask=mask, out_dir=tmp_path / "out", **SMALL
     )
     assert (found.reference.mask_kind, found.target.mask_kind) == ("QA_PIXEL", "zeros")
@@ -125,9 +124,7 @@ def test_a_mask_given_replaces_that_of_the_product(tmp_path: Path) -> None:
 def test_a_product_without_quality_raster_is_warned_of(tmp_path: Path) -> None:
     scene = write_landsat(tmp_path, bands=("B4", "B10"))
     (scene / f"{LANDSAT}_QA_PIXEL.TIF").unlink()
-    found = pcwlad_geo.match_files(
-        scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL
-    )
+    found = match_files(scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL)
     assert sum("has no quality raster" in warning for warning in found.warnings) == 1  # of one product, once
 
 
@@ -207,9 +204,7 @@ def test_a_mask_inside_an_archive_may_be_given(tmp_path: Path) -> None:
 def test_tie_points_alone_need_no_other_band(tmp_path: Path) -> None:
     scene = write_landsat(tmp_path)
     (scene / f"{LANDSAT}_B8.TIF").unlink()
-    found = pcwlad_geo.match_files(
-        scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL
-    )
+    found = match_files(scene, scene, ref_band="B4", tgt_band="B10", out_dir=tmp_path / "out", **SMALL)
     assert (found.status, found.warnings) == ("matched", ())
 
 
@@ -254,7 +249,5 @@ def test_the_product_of_a_path_is_found_once_a_job(
     out_dir = tmp_path / "out"
     assert main([command, str(reference), str(target), "-o", str(out_dir), *bands, *more]) == 0
     assert sorted(searched) == sorted([str(reference), str(target)])
-    pcwlad_geo.match_files(
-        reference, target, ref_band="B4", tgt_band="B10", out_dir=out_dir / "again", jobs=1, **SMALL
-    )
+    match_files(reference, target, ref_band="B4", tgt_band="B10", out_dir=out_dir / "again", jobs=1, **SMALL)
     assert len(searched) == 4  # a job does not remember what another found

@@ -13,6 +13,7 @@ from rasterio.crs import CRS
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.products.finding import find_product, stem_of
 from pcwlad_geo.raster import Grid, Trust, describe, transform_xy, trusting
 from pcwlad_geo.raster.georeferencing import geotransform_of
@@ -185,5 +186,5 @@ def test_it_is_registered_to_an_optical_image(tmp_path: Path) -> None:
         with rasterio.open(path) as file:
             assert (file.nodata, file.crs) == (0, GRID.crs)
             assert (file.read(1) > 0).sum() == pytest.approx((amplitude(1) > 0).sum(), rel=0.01)
-    again = pcwlad_geo.match_files(reference, written[1], out_dir=tmp_path / "again", **SMALL)  # type: ignore[arg-type]
+    again = match_files(reference, written[1], out_dir=tmp_path / "again", **SMALL)  # type: ignore[arg-type]
     assert np.abs(np.median(again.tie_points.select("matched").displacement_px, axis=0)).max() < 0.1

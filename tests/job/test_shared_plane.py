@@ -18,6 +18,7 @@ from affine import Affine
 
 import pcwlad_geo
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.job import match_files
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Grid, describe, map_px, plan_views
 from pcwlad_geo.raster.matching_grid import share_plane
@@ -158,7 +159,7 @@ def test_one_without_a_crs_is_taken_to_be_in_the_other_s_where_its_coordinates_l
     pair: tuple[Path, Path], tmp_path: Path
 ) -> None:
     reference = write(tmp_path / "placed.tif", render(REFERENCE), REFERENCE)
-    found = pcwlad_geo.match_files(reference, pair[1], out_dir="out", **SMALL)
+    found = match_files(reference, pair[1], out_dir="out", **SMALL)
     displacement = np.median(found.tie_points.select("matched").displacement_px, axis=0)
     np.testing.assert_allclose(displacement, SHIFT_PX, atol=0.05)
     assert found.px_m == pytest.approx((15.0, 15.0), rel=2e-3)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import pcwlad_geo
 from pcwlad_geo.errors import TrustError
 from pcwlad_geo.execution.runner import in_environment
+from pcwlad_geo.job import match_files
 from pcwlad_geo.raster import Trust
 from pcwlad_geo.raster.trust.permissions import current_trust
 from tests.cli.process import run_cli
@@ -44,7 +44,7 @@ def server(folder: Path, tmp_path: Path) -> Iterator[Server]:
 
 
 def points_of(target: str | os.PathLike[str], folder: Path, out_dir: Path, **options: Any) -> np.ndarray:
-    found = pcwlad_geo.match_files(folder / "ref.tif", target, out_dir=out_dir, **OPTIONS, **options)
+    found = match_files(folder / "ref.tif", target, out_dir=out_dir, **OPTIONS, **options)
     return found.tie_points.target_px
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pcwlad_geo
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.multi.qa.bands import list_bands
 from pcwlad_geo.multi.stack.inputs import listed
 from pcwlad_geo.options import Settings
@@ -35,9 +35,7 @@ def test_a_tile_registers_without_its_clouds(tmp_path: Path) -> None:
     shift_px = (1.3, -0.8)
     reference, target = write_ecostress(tmp_path / "a"), write_ecostress(tmp_path / "b", shift_px=shift_px)
     small = {"template": 61, "window": 41, "features": 100}
-    found = pcwlad_geo.match_files(
-        reference, target, ref_band="LST", tgt_band="LST", out_dir=tmp_path / "out", **small
-    )
+    found = match_files(reference, target, ref_band="LST", tgt_band="LST", out_dir=tmp_path / "out", **small)
     points = found.tie_points[found.tie_points.status != "rejected"]
     assert len(points) > 30
     moved = np.median(points.target_px - points.reference_px, axis=0)

@@ -16,6 +16,7 @@ import rasterio
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.multi.qa.bands import list_bands
 from pcwlad_geo.multi.stack.inputs import listed
 from pcwlad_geo.options import Settings
@@ -232,7 +233,7 @@ def test_zero_of_a_mask_of_flags_is_ground_though_declared_as_nodata(tmp_path: P
     found = product(folder)
     with rasterio.open(str(found.mask), "r+") as mask:
         mask.nodata = 0
-    found_again = pcwlad_geo.match_files(
+    found_again = match_files(
         folder, folder, ref_band="red", tgt_band="nir", out_dir=tmp_path / "out", **SMALL
     )
     assert len(found_again.tie_points) > 30

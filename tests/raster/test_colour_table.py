@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rasterio
 
-import pcwlad_geo
+from pcwlad_geo.job import match_files
 from pcwlad_geo.raster.grid import Window
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.view import View
@@ -45,8 +45,6 @@ def test_indices_become_brightness(tmp_path: Path) -> None:
 def test_a_scanned_map_is_matched_to_a_fraction_of_a_pixel(tmp_path: Path) -> None:
     reference = write(tmp_path / "reference.tif", render(GRID), GRID)
     with_colours(tmp_path / "map.tif", render(GRID, displacement_px=(0.6, -0.4)))
-    points = pcwlad_geo.match_files(
-        reference, tmp_path / "map.tif", out_dir=tmp_path / "out", **QUICK
-    ).tie_points
+    points = match_files(reference, tmp_path / "map.tif", out_dir=tmp_path / "out", **QUICK).tie_points
     assert len(points) > 50
     np.testing.assert_allclose(np.median(points.displacement_px, axis=0), [0.6, -0.4], atol=0.05)

@@ -15,6 +15,7 @@ import pcwlad_geo
 from pcwlad_geo.cli import edit
 from pcwlad_geo.cli.app import run as main
 from pcwlad_geo.errors import InputError, SettingsError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.multi.stack.inputs import StackInput, listed
 from pcwlad_geo.option_text import to_setting
 from pcwlad_geo.options import Settings
@@ -50,7 +51,7 @@ def values_of(info: view_module.RasterInfo) -> view_module.Patch:
 
 
 def errors_px(reference: Path, target: Path, folder: Path, **options: object) -> Array:
-    found = pcwlad_geo.match_files(reference, target, out_dir=folder, **SMALL, **options)  # type: ignore[arg-type]
+    found = match_files(reference, target, out_dir=folder, **SMALL, **options)  # type: ignore[arg-type]
     return np.asarray(found.tie_points.select("matched").displacement_px - MOVED_PX)
 
 
@@ -174,7 +175,7 @@ def test_bands_of_other_pixels_or_that_are_missing_are_refused(tmp_path: Path) -
     with pytest.raises(InputError, match=r"b\.tif has other pixels than .*a\.tif"):
         with_bands(describe(path), Bands((BandPart(str(path), 1), BandPart(str(other), 1))))
     with pytest.raises(InputError, match="it is no product"):
-        pcwlad_geo.match_files(path, path, out_dir=tmp_path / "out", ref_band="B2,B3")
+        match_files(path, path, out_dir=tmp_path / "out", ref_band="B2,B3")
 
 
 def test_the_mean_is_more_precise_than_a_band_and_the_component_where_contrasts_are_opposed(
@@ -250,7 +251,7 @@ def test_bands_of_products_by_name(tmp_path: Path) -> None:
     editor, _ = edit._open(tmp_path / "out")  # on the files that the report names
     assert len(editor.table) == len(found.tie_points)
     with pytest.raises(InputError, match="band pca of"):
-        pcwlad_geo.match_files(reference, target, ref_band="pca", tgt_band="B4", out_dir=tmp_path / "no")
+        match_files(reference, target, ref_band="pca", tgt_band="B4", out_dir=tmp_path / "no")
 
 
 def test_stacks_and_items_take_several_bands(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from rasterio.control import GroundControlPoint
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.job import match_files
 from tests.scenes import make_grid, render, write
 
 SMALL = {"template": 61, "window": 41, "features": 100}
@@ -68,7 +69,7 @@ def test_it_is_registered_and_warped(tmp_path: Path) -> None:
 def test_what_no_geotransform_fits_is_warned_of(tmp_path: Path) -> None:
     reference = write(tmp_path / "ref.tif", render(GRID), GRID)
     target = write_target(tmp_path / "tgt.tif", bend_px=0.4)
-    found = pcwlad_geo.match_files(reference, target, out_dir=tmp_path / "out", **SMALL)
+    found = match_files(reference, target, out_dir=tmp_path / "out", **SMALL)
     assert ["ground control points" in warning for warning in found.warnings] == [True]
     with pytest.raises(InputError, match=r"tgt\.tif.*must be on a map grid; warp it first"):
-        pcwlad_geo.match_files(target, reference, out_dir=tmp_path / "other", **SMALL)
+        match_files(target, reference, out_dir=tmp_path / "other", **SMALL)

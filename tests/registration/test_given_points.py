@@ -12,6 +12,7 @@ import pytest
 
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import describe, plan_views
 from pcwlad_geo.registration.run import register_pair
@@ -123,7 +124,7 @@ def test_a_registration_from_its_own_points_is_the_same(tmp_path: Path) -> None:
         write(tmp_path / "ref.tif", render(GRID), GRID),
         write(tmp_path / "tgt.tif", 255 - render(GRID, displacement_px=SHIFT_PX), GRID),
     )
-    first = pcwlad_geo.match_files(*paths, out_dir=tmp_path / "first", template=61, window=41, features=150)
+    first = match_files(*paths, out_dir=tmp_path / "first", template=61, window=41, features=150)
     assert first.status == "matched"
     shifts = []
     for name in ("tiepoints.csv", "tgt.tif.points", "tgt.pts", "tgt_gcps.vrt"):

@@ -19,6 +19,7 @@ from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.rigs import applying_run
+from pcwlad_geo.rigs.applying_run import RigApplied
 from pcwlad_geo.rigs.parameters import CAPTURE
 from tests.rigs import rigs
 from tests.scenes import write as write_raster
@@ -59,12 +60,12 @@ def known(frames: Path) -> pg.Rig:
 
 
 @pytest.fixture(scope="module")
-def applied(frames: Path, known: pg.Rig, tmp_path_factory: pytest.TempPathFactory) -> pg.RigApplied:
+def applied(frames: Path, known: pg.Rig, tmp_path_factory: pytest.TempPathFactory) -> RigApplied:
     out = tmp_path_factory.mktemp("applied") / "out"
     return pg.rig_apply(known, [frames], out_dir=out, executor=InThisProcess())
 
 
-def test_good_captures_are_corrected_and_bad_ones_are_named(applied: pg.RigApplied) -> None:
+def test_good_captures_are_corrected_and_bad_ones_are_named(applied: RigApplied) -> None:
     status = {each.name: each.status for each in applied.captures}
     assert {name for name, each in status.items() if each == "corrected"} == set(GOOD)
     reasons = {each.name: each.reason or "" for each in applied.captures}
@@ -79,7 +80,7 @@ def test_good_captures_are_corrected_and_bad_ones_are_named(applied: pg.RigAppli
     ]
 
 
-def test_every_lens_is_read_where_it_sees_the_ground(applied: pg.RigApplied, known: pg.Rig) -> None:
+def test_every_lens_is_read_where_it_sees_the_ground(applied: RigApplied, known: pg.Rig) -> None:
     for name, height in GOOD.items():
         raster = applied.out_dir / f"{name}.tif"
         errors = rigs.applied_errors(known, RIG, rigs.flown(height), rigs.ground(), raster)
@@ -95,13 +96,13 @@ def test_without_the_ground_of_the_capture_the_lenses_lie_apart(known: pg.Rig, t
     assert max(errors) > 0.3
 
 
-def test_distance_is_told_in_metres(applied: pg.RigApplied) -> None:
+def test_distance_is_told_in_metres(applied: RigApplied) -> None:
     for each in applied.captures:
         if each.name in GOOD:
             assert each.distance_m == pytest.approx(GOOD[each.name], rel=0.15)
 
 
-def test_rasters_hold_names_wavelengths_and_a_mask(applied: pg.RigApplied, known: pg.Rig) -> None:
+def test_rasters_hold_names_wavelengths_and_a_mask(applied: RigApplied, known: pg.Rig) -> None:
     with ignoring(NotGeoreferencedWarning), rasterio.open(applied.out_dir / "GOOD_2.tif") as dataset:
         assert dataset.descriptions == known.names
         assert dataset.nodata == 0
@@ -113,7 +114,7 @@ def test_rasters_hold_names_wavelengths_and_a_mask(applied: pg.RigApplied, known
     assert (values > 0).mean() > 0.98
 
 
-def test_summary_has_a_line_for_each_capture(applied: pg.RigApplied) -> None:
+def test_summary_has_a_line_for_each_capture(applied: RigApplied) -> None:
     with applied.summary.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows] == sorted(each.name for each in applied.captures)
@@ -121,7 +122,7 @@ def test_summary_has_a_line_for_each_capture(applied: pg.RigApplied) -> None:
 
 
 def test_what_is_done_is_not_done_again(
-    applied: pg.RigApplied, known: pg.Rig, frames: Path, monkeypatch: pytest.MonkeyPatch
+    applied: RigApplied, known: pg.Rig, frames: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = {file.name: file.stat().st_mtime_ns for file in applied.out_dir.glob("*.tif")}
     good = [file for name in GOOD for file in sorted(frames.glob(f"{name}_*"))]

@@ -18,6 +18,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.raster.cameras import exif_of, xmp_of
 from pcwlad_geo.raster.gdal import ignoring
+from pcwlad_geo.rigs.applying_run import RigApplied
 from pcwlad_geo.rigs.camera_tags import Tag, tags_of_jpeg, tags_of_tiff, tiff_of
 from pcwlad_geo.rigs.captures import read_frame_facts
 from pcwlad_geo.rigs.pinhole_tags import _radial_fit
@@ -29,7 +30,7 @@ CALIBRATION = re.compile(
     "|OpticalCenter|Vignetting|HMatrix|RigRelatives|Orientation"
 )
 NAME = "DJI_20240501100000_0001"
-Mavic = tuple[Path, Path, pg.Rig, pg.RigApplied]
+Mavic = tuple[Path, Path, pg.Rig, RigApplied]
 
 
 def tags(path: Path) -> dict[str, object]:
