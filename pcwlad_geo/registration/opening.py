@@ -73,6 +73,7 @@ def prepare_inputs(
         notes = (
             *inputs.notes,
             *_camera_notes(ref, tgt),
+            *_drawn_notes(ref),
             *(ref_said + tgt_said + shared),
             *_control_point_notes(ref, tgt, parameters),
         )
@@ -129,6 +130,16 @@ def _camera_notes(reference: RasterInfo, target: RasterInfo) -> list[str]:
     """Tell what scale the cameras' data make expect of two frames, or why they are ignored."""
     _, note = expected_scale(reference.camera, target.camera)
     return [] if note is None or reference.georeferenced or target.georeferenced else [note]
+
+
+def _drawn_notes(reference: RasterInfo) -> list[str]:
+    """Tell of a reference that is a drawn map."""
+    if reference.basemap is None or not reference.basemap.drawn:
+        return []
+    return [
+        f"the reference {reference.basemap.name} is a drawn map: its lines lie where they can be read, up to "
+        "some metres beside the ground, and names and symbols show nothing of it; an image is better"
+    ]
 
 
 def _control_point_notes(

@@ -6,6 +6,7 @@ from .text import mark
 
 PARAMETERS = {
     "REFERENCE": mark("The raster whose place is right. It stays as it is."),
+    "SHOWN": mark("QGIS draws these layers, and the target is registered onto the picture."),
     "REFERENCE_BAND": mark("The band of the reference that is compared."),
     "INPUT": mark("The raster that is moved onto the reference."),
     "INPUT_BAND": mark("The band of the target that is compared. All bands are corrected."),
@@ -119,6 +120,7 @@ PARAMETERS = {
 TITLES = {
     "REFERENCE": mark("Reference (stays)"),
     "REFERENCE_BAND": mark("Band of the reference"),
+    "SHOWN": mark("Layers to draw as the reference"),
     "INPUT": mark("Target (moves)"),
     "apply.INPUT": mark("Another band of the target"),
     "INPUT_BAND": mark("Band of the target"),
@@ -298,6 +300,7 @@ OPTIONS = {
 STAGES = {
     "reading": mark("Reading"),
     "inspecting": mark("Inspecting the captures"),
+    "fetching": mark("Fetching the map"),
     "prealignment": mark("Rough alignment"),
     "starts": mark("Rough alignment"),
     "matching": mark("Matching"),
@@ -413,6 +416,7 @@ INSTALL_ONE = mark(
 """What is advised where there is no engine that fits."""
 OTHER_VERSION = mark("The engine {} has version {} (protocol {}), this plugin is {} and needs protocol {}.")
 """What is told of an engine that does not fit."""
+THE_MAP = mark("What the map shows")
 NO_FILE = mark(
     "The layer “{}” is no raster file (it comes from the provider “{}”). "
     "Save it first: right-click the layer, Export, Save As…, and use the file."

@@ -256,3 +256,14 @@ CAPABILITIES = (
     + "".join(MATRIX.format(zoom, 559082264.0287178 / 2**zoom, 2**zoom, 2**zoom) for zoom in range(3))
     + "</TileMatrixSet></Contents></Capabilities>"
 )
+
+
+def test_a_drawn_map_is_said_to_be_one(files: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    """QGIS writes these tags too."""
+    place = tmp_path / "map.tif"
+    place.write_bytes(files[0].read_bytes())
+    with rasterio.open(place, "r+") as file:
+        file.update_tags(BASEMAP_NAME="Streets", BASEMAP_KIND="map", BASEMAP_ATTRIBUTION="a mapper")
+    pair = pcwlad_geo.open_pair(place, files[1])
+    assert any("Streets is a drawn map" in warning for warning in pair.warnings)
+    assert pair.reference.basemap.text == "Streets (a mapper, 28.7 m a pixel)"

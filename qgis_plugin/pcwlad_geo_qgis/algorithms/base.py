@@ -116,6 +116,8 @@ class EngineAlgorithm(PlainAlgorithm):
     """Parameters that are one raster layer each."""
     LISTS: Sequence[str] = ()
     """Parameters that are lists of raster layers."""
+    DRAWABLE: Sequence[str] = ()
+    """Parameters of layers that QGIS draws where the engine cannot read them."""
     OUTPUTS: Sequence[str] = ()
     """Parameters that are files to write."""
     FILES: Mapping[str, str] = {}
@@ -225,7 +227,7 @@ class EngineAlgorithm(PlainAlgorithm):
         for name, layer in layers:
             if layer is None or not layer.isValid():
                 return self.invalidRasterError(parameters, name)
-            if problem_of(layer):
+            if name not in self.DRAWABLE and problem_of(layer):
                 return problem_of(layer)
         return self._output_problem(parameters, [path_of(layer) for _, layer in layers])
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from qgis import core
 
 from ..model.areas import file_of_areas, stand_in
+from ..model.drawn import Drawing, must_be_drawn, remove
 from ..model.rasters import crs_differs, has_place, other_raster, path_of, same_file
 from ..model.tie_points import TiePointStyle, add_vectors, open_tie_points
 from ..process.figures import figures, summary, told
 from ..text import tr
-from .base import Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
+from .base import Cancelled, Context, EngineAlgorithm, Feedback, Values, options_of, temporary_folder
 
 OF_RASTERS = ("REFERENCE_BAND", "INPUT_BAND", "REFERENCE_MASK", "INPUT_MASK", "DEM", "DEM_VERTICAL")
+NUMBERS = r"(?:-?[\d.]+(?:e[+-]?\d+)?,){5}-?[\d.]+(?:e[+-]?\d+)?"
+"""What a geotransform looks like; the engine says what is wrong with it."""
 AREAS = ("AREA", "EXCLUDED")
 FILES = {"OUTPUT_FOLDER": "--out-dir", "OUTPUT_HTML": "--output-report", "OUTPUT_POINTS": "--output-points"}
 """Outputs that the engine writes, and their options."""
@@ -23,19 +27,22 @@ class PairAlgorithm(EngineAlgorithm):
     """An algorithm on a reference and a target."""
 
     RASTERS = ("REFERENCE", "INPUT", "REFERENCE_MASK", "INPUT_MASK", "DEM")
+    DRAWABLE = ("REFERENCE",)
 
     def add_inputs(self) -> None:
         """Add the rasters, their bands and masks, and the DEM."""
         raster, text = core.QgsProcessingParameterRasterLayer, core.QgsProcessingParameterString
         source = core.QgsProcessingParameterFeatureSource
         for name, preset in (("REFERENCE", other_raster()), ("INPUT", None)):
-            self.add(raster, name, preset)
+            self.add(raster, name, preset, optional=name in self.DRAWABLE)
             # QGIS 3.22 takes the default of a band for none unless it is optional
             self.add(core.QgsProcessingParameterBand, f"{name}_BAND", 1, name, optional=True)
         self.add(core.QgsProcessingParameterExtent, "EXTENT", optional=True)
         polygons = [core.QgsProcessing.SourceType.TypeVectorPolygon]
         for name in AREAS:
             self.add(source, name, polygons, optional=True, advanced=True)
+        several = core.QgsProcessingParameterMultipleLayers
+        self.add(several, "SHOWN", core.QgsProcessing.SourceType.TypeMapLayer, optional=True, advanced=True)
         for name in ("REFERENCE_MASK", "INPUT_MASK", "DEM"):
             self.add(raster, name, optional=True, advanced=True)
         self.add(text, "DEM_VERTICAL", optional=True, advanced=True)
@@ -58,6 +65,11 @@ class PairAlgorithm(EngineAlgorithm):
         if found := super().problem(parameters, context):
             return found
         layers = dict(self.layers(parameters, context))
+        drawing = self.drawing(parameters, context)
+        if drawing is not None:
+            return drawing.problem()
+        if "REFERENCE" not in layers:
+            return tr("Reference: choose a layer.")
         paths = {name: path_of(layer) for name, layer in layers.items()}
         bands = [self.parameterAsInt(parameters, f"{name}_BAND", context) for name in ("REFERENCE", "INPUT")]
         if same_file(paths["REFERENCE"], paths["INPUT"]) and bands[0] == bands[1]:
@@ -70,11 +82,30 @@ class PairAlgorithm(EngineAlgorithm):
                 return tr("Extent: it lies outside of the reference. Choose another.")
         return ""
 
+    def drawing(self, parameters: Values, context: Context) -> Drawing | None:
+        """Return what QGIS draws as the reference; None where the engine reads it."""
+        layers = dict(self.layers(parameters, context))
+        shown = self.parameterAsLayerList(parameters, "SHOWN", context)
+        if not shown and not must_be_drawn(layers.get("REFERENCE")):
+            return None
+        shown = shown or [layers["REFERENCE"]]
+        place = self.parameterAsString(parameters, "PLACE", context) if "PLACE" in parameters else ""
+        numbers = [float(part) for part in place.split(",")] if re.fullmatch(NUMBERS, place) else None
+        radius = self.parameterAsInt(parameters, "SEARCH_RADIUS", context)
+        crs = shown[0].crs() if len(shown) == 1 else core.QgsProject.instance().crs()
+        box = None
+        if parameters.get("EXTENT") not in (None, ""):
+            box = self.parameterAsExtent(parameters, "EXTENT", context, crs)
+        return Drawing(shown, layers["INPUT"], numbers, box, radius)
+
     def prepareAlgorithm(self, parameters: Values, context: Context, feedback: Feedback) -> bool:
         """Read the layers, areas and the extent, which belong to this thread."""
         super().prepareAlgorithm(parameters, context, feedback)
         layers = dict(self.layers(parameters, context))
-        self.crs = layers["REFERENCE"].crs()
+        self._drawing = self.drawing(parameters, context)
+        if self._drawing is not None and not self._drawing.prepare(feedback):
+            return False
+        self.crs = self._drawing.crs if self._drawing else layers["REFERENCE"].crs()
         self._box: core.QgsRectangle | None = None
         if parameters.get("EXTENT") not in (None, ""):
             self._box = self.parameterAsExtent(parameters, "EXTENT", context, self.crs)
@@ -84,7 +115,8 @@ class PairAlgorithm(EngineAlgorithm):
                 part = isinstance(parameters[name], core.QgsProcessingFeatureSourceDefinition)
                 layer = None if part else self.parameterAsVectorLayer(parameters, name, context)
                 self._paths[name] = [file_of_areas(source, layer, self.crs, temporary_folder(), context)]
-        shown = {name: layers[name] for name in ("REFERENCE", "INPUT") if crs_differs(layers[name])}
+        read = ("INPUT",) if self._drawing else ("REFERENCE", "INPUT")
+        shown = {name: layers[name] for name in read if crs_differs(layers[name])}
         self._to_copy = {name: (each.dataProvider().clone(), each.crs()) for name, each in shown.items()}
         return True
 
@@ -100,7 +132,7 @@ class PairAlgorithm(EngineAlgorithm):
         options = options_of({"--require": require})
         options += self.options(parameters, context, *OF_RASTERS, *AREAS)
         rasters = [*self.paths("REFERENCE"), *self.paths("INPUT")]
-        if self._box is not None:
+        if self._box is not None and not (self._drawing and not self._drawing.is_placed):
             corners = (self._box.xMinimum(), self._box.yMinimum(), self._box.xMaximum(), self._box.yMaximum())
             options += ["--extent", *map(repr, corners)]
         return [*rasters, *options, *self.matching_options(parameters, context)]
@@ -125,8 +157,18 @@ class PairAlgorithm(EngineAlgorithm):
         places = {name: self.file_output(parameters, name, context) for name in FILES}
         places["OUTPUT_FOLDER"] = places["OUTPUT_FOLDER"] or str(temporary_folder() / "results")
         options = options_of({FILES[name]: place for name, place in places.items()})
+        drawn = Path(places["OUTPUT_FOLDER"]) / "reference.tif" if self._drawing else None
+        if drawn is not None:
+            self._paths["REFERENCE"] = [self._drawing.draw(drawn, feedback)]
+            if feedback.isCanceled():
+                raise Cancelled
         pair = self.pair_options(parameters, context)
-        self.outcome = self.run_command([*words, *pair, *options, "--overwrite"], feedback)
+        try:
+            self.outcome = self.run_command([*words, *pair, *options, "--overwrite"], feedback)
+        except Cancelled:
+            if drawn is not None:
+                remove(drawn)
+            raise
         feedback.pushInfo(summary(self.outcome))
         judged = self.judged(self.outcome, feedback)
         points = open_tie_points(self.outcome["paths"]["geopackage"], "tie_points")
@@ -134,4 +176,5 @@ class PairAlgorithm(EngineAlgorithm):
             feedback.pushWarning(tr("There are too few tie points for arrows along the axes of the map."))
         tie_points = self.write("OUTPUT_TIEPOINTS", points, parameters, context)
         written = {name: place for name, place in places.items() if place}
-        return {**written, **tie_points, **figures(self.outcome), **judged, **told(self.outcome)}
+        found = {"DRAWN": str(drawn)} if drawn else {}
+        return {**written, **tie_points, **figures(self.outcome), **judged, **told(self.outcome), **found}

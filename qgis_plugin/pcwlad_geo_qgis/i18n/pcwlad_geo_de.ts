@@ -222,6 +222,10 @@ dx und dy sind in den Einheiten des KBS des ersten Layers; gedreht wird um seine
       <translation>Punkte der Georeferenzierung (*.points)</translation>
     </message>
     <message>
+      <source>Reference: choose a layer.</source>
+      <translation>Referenz: einen Layer auswählen.</translation>
+    </message>
+    <message>
       <source>Reference and target are the same raster and band. Choose another target.</source>
       <translation>Referenz und Ziel sind dasselbe Raster und derselbe Kanal. Wählen Sie ein anderes Ziel.</translation>
     </message>
@@ -376,6 +380,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Die Engine {} hat Version {} (Protokoll {}), dieses Plugin ist {} und braucht Protokoll {}.</translation>
     </message>
     <message>
+      <source>What the map shows</source>
+      <translation>Was die Karte zeigt</translation>
+    </message>
+    <message>
       <source>The layer “{}” is no raster file (it comes from the provider “{}”). Save it first: right-click the layer, Export, Save As…, and use the file.</source>
       <translation>Der Layer „{}“ ist keine Rasterdatei (er kommt vom Datenanbieter „{}“). Speichern Sie ihn zuerst: Rechtsklick auf den Layer, Export, Speichern als…, und nehmen Sie die Datei.</translation>
     </message>
@@ -418,6 +426,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>The raster whose place is right. It stays as it is.</source>
       <translation>Das Raster, dessen Lage richtig ist. Es bleibt, wie es ist.</translation>
+    </message>
+    <message>
+      <source>QGIS draws these layers, and the target is registered onto the picture.</source>
+      <translation>QGIS zeichnet diese Layer, und das Ziel wird auf das Bild eingepasst.</translation>
     </message>
     <message>
       <source>The band of the reference that is compared.</source>
@@ -678,6 +690,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Band of the reference</source>
       <translation>Kanal der Referenz</translation>
+    </message>
+    <message>
+      <source>Layers to draw as the reference</source>
+      <translation>Layer, die als Referenz gezeichnet werden</translation>
     </message>
     <message>
       <source>Target (moves)</source>
@@ -1260,6 +1276,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Aufnahmen werden geprüft</translation>
     </message>
     <message>
+      <source>Fetching the map</source>
+      <translation>Karte wird geholt</translation>
+    </message>
+    <message>
       <source>Matching</source>
       <translation>Zuordnen</translation>
     </message>
@@ -1420,6 +1440,26 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>{} kann nicht geschrieben werden.</translation>
     </message>
     <message>
+      <source>Drawing “{}”: {} × {} pixels of {}</source>
+      <translation>„{}“ wird gezeichnet: {} × {} Pixel von {}</translation>
+    </message>
+    <message>
+      <source>Nothing says which part of “{}” shows the target. Place the target, or set an extent.</source>
+      <translation>Nichts sagt, welcher Teil von „{}“ das Ziel zeigt. Das Ziel platzieren, oder eine Ausdehnung setzen.</translation>
+    </message>
+    <message>
+      <source>{} × {} pixels of “{}” would be drawn, and at most {} are. Set a smaller extent.</source>
+      <translation>{} × {} Pixel von „{}“ müssten gezeichnet werden, und höchstens {} werden es. Eine kleinere Ausdehnung setzen.</translation>
+    </message>
+    <message>
+      <source>“{}” shows nothing in more than half of the ground of the target at this scale: its server may refuse, or have no such scale. Look at the map there.</source>
+      <translation>„{}“ zeigt in diesem Maßstab auf mehr als der Hälfte des Gebiets nichts: Der Server lehnt vielleicht ab oder hat diesen Maßstab nicht. Die Karte dort ansehen.</translation>
+    </message>
+    <message>
+      <source>“{}” has no CRS. Set one, or that of the project.</source>
+      <translation>„{}“ hat kein KBS. Eines setzen, oder das des Projekts.</translation>
+    </message>
+    <message>
       <source>Residuals, target pixels</source>
       <translation>Residuen, Zielpixel</translation>
     </message>
@@ -1518,6 +1558,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>What is left: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</source>
       <translation>Es bleiben: RMSE {RMSE:.3f} px, CE90 {CE90:.3f} px</translation>
+    </message>
+    <message>
+      <source>All this is relative to the basemap {}.</source>
+      <translation>All das gilt relativ zur Grundkarte {}.</translation>
     </message>
     <message>
       <source>{}: no tiepoints.gpkg. Register again without --no-report.</source>

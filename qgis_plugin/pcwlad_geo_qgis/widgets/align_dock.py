@@ -10,8 +10,9 @@ from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui, QtWidgets, uic
 
 from ..algorithms.base import temporary_folder
-from ..help import DRAWN, MORE_LAYERS, NEEDS_TRUST, OTHER_BANDS
+from ..help import DRAWN, MORE_LAYERS, NEEDS_TRUST, OTHER_BANDS, THE_MAP
 from ..model import settings
+from ..model.drawn import shown_layers, shows_a_web_map
 from ..model.heat import heat_map
 from ..model.rasters import file_behind, other_raster
 from ..model.results import add_group, add_raster, show_results, unused
@@ -82,6 +83,9 @@ class AlignDock(gui.QgsDockWidget):
             box.setFilters(core.QgsMapLayerProxyModel.Filter.RasterLayer)
             box.layerChanged.connect(band.setLayer)
             band.setLayer(box.currentLayer())
+        tiles = core.QgsMapLayerProxyModel.Filter.VectorTileLayer
+        self.reference.setFilters(core.QgsMapLayerProxyModel.Filter.RasterLayer | tiles)
+        self.reference.setAdditionalItems([tr(THE_MAP)])
         self.advanced.collapsedStateChanged.connect(self._widen)
         self.folder.lineEdit().setPlaceholderText(tr("Beside the layer"))
         self.start_button.clicked.connect(lambda: self.start())
@@ -121,7 +125,10 @@ class AlignDock(gui.QgsDockWidget):
         """Show the dock with a layer to align, more that are chosen, and another raster as its reference."""
         if isinstance(layer, core.QgsRasterLayer):
             self.target.setLayer(layer)
-        self.reference.setLayer(core.QgsProject.instance().mapLayer(other_raster() or ""))
+        other = core.QgsProject.instance().mapLayer(other_raster() or "")
+        self.reference.setLayer(other)
+        if other is None and shows_a_web_map():
+            self.reference.setCurrentIndex(self.reference.findText(tr(THE_MAP)))
         rasters = [each for each in chosen if isinstance(each, core.QgsRasterLayer) and each != layer]
         if rasters:
             self.choices.set("MORE", [each.id() for each in rasters if each != self.reference.currentLayer()])
@@ -154,13 +161,14 @@ class AlignDock(gui.QgsDockWidget):
     def snap(self) -> None:
         """Align the layer from where it is put by hand; a refusal leaves it there."""
         reference, target = self.reference.currentLayer(), self.place.layer
-        if target is None or reference is None or reference == target:
+        if target is None or (reference is None and not self._takes_the_map()) or reference == target:
             self.footer.clear()
             self.footer.tell(
                 tr("Choose the layer and another one as its reference on the page “Align” first.")
             )
             return
-        where = ",".join(map(repr, self.place.ghost.placement.geotransform(reference.crs())))
+        crs = reference.crs() if reference else core.QgsProject.instance().crs()
+        where = ",".join(map(repr, self.place.ghost.placement.geotransform(crs)))
         place = self.out_folder(target, False, [])
         self._begin([self._job(reference, target, OUTPUT_FOLDER=place, PLACE=where)])
 
@@ -168,10 +176,19 @@ class AlignDock(gui.QgsDockWidget):
         """Return the job that aligns a pair of layers (reference, target) as chosen."""
         # copies: they may leave the project meanwhile
         reference, target = (layer and layer.clone() for layer in pair)
+        if reference is None and self._takes_the_map():
+            without = {pair[1], *self.layers.values()}
+            more["SHOWN"] = [layer.clone() for layer in shown_layers(without)]
+        elif reference is not None and not isinstance(reference, core.QgsRasterLayer):
+            reference, more["SHOWN"] = None, [reference]
         chosen = {name: self.choices.value(name) for name in (*MAIN, *ADVANCED)}
         chosen.update(REFERENCE_BAND=self.reference_band.currentBand(), REFERENCE=reference)
         chosen.update(INPUT_BAND=self.target_band.currentBand(), INPUT=target, **more)
         return self._sure(Job(REGISTER, chosen, self._load))
+
+    def _takes_the_map(self) -> bool:
+        """Return whether what the map shows is the reference."""
+        return self.reference.currentLayer() is None and self.reference.currentText() == tr(THE_MAP)
 
     def _sure(self, job: Job) -> Job:
         """Return the job, with the trust of its user where a layer has it."""
@@ -338,6 +355,9 @@ class AlignDock(gui.QgsDockWidget):
         if self.tabs.currentWidget() is self.place:
             self.tabs.setCurrentIndex(ALIGN)  # it lies where it belongs
         self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
+        if drawn := results.get("DRAWN"):
+            names = [each.name() for each in job.parameters.get("SHOWN") or self._pair[:1]]
+            self._pair[0] = core.QgsRasterLayer(drawn, names[0] if len(names) == 1 else tr(THE_MAP))
         self._folder, paths, target = Path(results["OUTPUT_FOLDER"]), results["PATHS"], self._pair[1]
         raster = results.get("GEOREFERENCED") or paths["raster"]
         name = tr("{} aligned").format(target.name())

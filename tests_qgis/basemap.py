@@ -1,0 +1,58 @@
+"""What a user does to bring a layer onto a web map in the window of QGIS: ``qgis --code basemap.py``.
+
+WINDOW_JOB names a JSON file: `target`, `tiles` (the layer of a server), `folder` for pictures and
+`seen.json`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+from qgis.core import QgsProject, QgsRasterLayer
+from qgis.PyQt.QtCore import Qt, QTimer
+from qgis.PyQt.QtWidgets import QDockWidget
+from qgis.utils import iface, plugins
+from steps import JOB, go, grab, seen
+
+
+def steps() -> Iterator[int]:
+    """Do one thing after the other; yield how many milliseconds to wait."""
+    window = iface.mainWindow()
+    window.resize(1400, 900)
+    for name in ("Browser", "ProcessingToolbox"):
+        window.findChild(QDockWidget, name).close()
+    layers = [QgsRasterLayer(JOB["tiles"], "Luftbild", "wms"), QgsRasterLayer(JOB["target"], "thermal")]
+    QgsProject.instance().addMapLayers(layers)
+    iface.setActiveLayer(layers[1])
+    plugin = plugins["pcwlad_geo_qgis"]
+    plugin.action.trigger()
+    yield 500
+    dock = plugin.dock
+    window.resizeDocks([dock], [420], Qt.Orientation.Horizontal)
+    iface.zoomToActiveLayer()
+    iface.messageBar().clearWidgets()
+    yield 2000
+    seen["preset"] = dock.reference.currentText()
+    grab(window, "basemap_before")
+    beats: list[tuple[float, str]] = []
+    pulse = QTimer()
+    pulse.timeout.connect(lambda: beats.append((time.monotonic(), dock.footer.stage.text())))
+    pulse.start(20)
+    dock.start_button.click()
+    groups = QgsProject.instance().layerTreeRoot()
+    while not groups.findGroup("thermal aligned") and dock.cancel_button.isEnabled():
+        if "Drawing" in dock.footer.stage.text() and "stage" not in seen:
+            seen["stage"] = dock.footer.stage.text()
+            grab(window, "basemap_drawing")
+        yield 100
+    pulse.stop()
+    drawing = [moment for moment, stage in beats if "Drawing" in stage]
+    seen["longest_ms"] = 1000 * max(b - a for a, b in zip(drawing, drawing[1:]))  # noqa: RUF007  # Python 3.9
+    yield 2500
+    seen["verdict"] = dock.footer.verdict.text()
+    seen["layers"] = sorted(each.name() for each in QgsProject.instance().mapLayers().values())
+    grab(window, "basemap_after")
+
+
+go(steps)
