@@ -96,7 +96,7 @@ def placed_capture(rig: Rig, capture: Capture) -> tuple[Placement, list[Frame], 
     Raises `BadCaptureError` if it cannot be corrected.
     """
     frames = [capture.frames[name] for name in rig.names]
-    values = [read_frame(frame.path, frame.shape) for frame in frames]
+    values = [read_frame(frame) for frame in frames]
     height_m, distance_m = capture.height_m, rig.distance_m
     expected = None if height_m is None or distance_m is None else distance_m / height_m
     try:

@@ -20,7 +20,7 @@ from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster import Trust, open_raster, plain_name, trusting
 from pcwlad_geo.rigs.applying import CaptureOutcome, correct_capture
 from pcwlad_geo.rigs.capture_raster import CAPTURE_TAG, CaptureTask
-from pcwlad_geo.rigs.captures import Capture, find_frames, group
+from pcwlad_geo.rigs.captures import Capture, find_frames, group, thermal_note
 from pcwlad_geo.rigs.learning_run import checked_jobs
 from pcwlad_geo.rigs.parameters import CAPTURE, CaptureParameters
 from pcwlad_geo.rigs.rig import Rig
@@ -147,6 +147,8 @@ def rig_apply(
         for outcome in ordered:
             if outcome.reason is not None:
                 on_event(Warned(f"{outcome.name}: {outcome.quality or outcome.status}: {outcome.reason}"))
+        if (note := thermal_note(usable)) is not None:
+            on_event(Warned(note))
         for file, reason in unread:
             on_event(Warned(reason if file in reason else f"{file}: {reason}"))
     return RigApplied(ordered, folder, tuple(unread), None if plan is None else plan.next_step(folder))
@@ -156,8 +158,9 @@ def _grouped(
     rig: Rig, captures: Sequence[PathLike], folder: Path, pattern: str | None
 ) -> tuple[list[Capture], list[tuple[str, str]]]:
     """Return the captures, and the files that are no frames, and why; `folder` has the results."""
-    inside = folder.resolve()
-    files = [file for file in find_frames(captures) if not file.resolve().is_relative_to(inside)]
+    inside, files = folder.resolve(), find_frames(captures)
+    if not any(Path(place).resolve().is_relative_to(inside) for place in captures):
+        files = [file for file in files if not file.resolve().is_relative_to(inside)]
     groups, unread = group(files, pattern)
     pictures = [capture for capture in groups if _is_picture(rig, capture)]
     if len(pictures) < len(groups):

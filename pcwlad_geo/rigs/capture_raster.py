@@ -20,6 +20,7 @@ from pcwlad_geo.rigs.captures import Capture, Frame
 from pcwlad_geo.rigs.placing import Placement
 from pcwlad_geo.rigs.rig import Rig, RigLens
 from pcwlad_geo.rigs.split import write_frame
+from pcwlad_geo.rigs.temperatures import ZERO_C_K
 from pcwlad_geo.rigs.warping import map_places, resampled
 from pcwlad_geo.types import Float32
 
@@ -74,7 +75,9 @@ def write_capture(
 
 
 def _bands_of(frame: Frame, values: Float32) -> list[Float32]:
-    """Return the bands of a frame; `values` are those of the only one."""
+    """Return the bands of a frame; `values` are those of the only one. Temperatures are in °C."""
+    if frame.thermal is not None:
+        return [values - np.float32(ZERO_C_K)]
     with open_raster(frame.path) as dataset:
         if dataset.count == 1:
             return [values]
@@ -122,6 +125,8 @@ def _write(
         for number, (name, lens, frame, values) in enumerate(bands, 1):
             out.write(values, number)
             out.set_band_description(number, name)
+            if frame.thermal is not None:
+                out.set_band_unit(number, "degree_Celsius")
             out.update_tags(number, **{f"XMP_{key}": value for key, value in frame.xmp.items()})
             if lens.wavelength_nm is not None:
                 centre, width = lens.wavelength_nm

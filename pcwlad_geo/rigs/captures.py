@@ -19,6 +19,7 @@ from pcwlad_geo.raster.cameras import camera_of, exif_of, xmp_of
 from pcwlad_geo.raster.stored_pixels import check_dataset
 from pcwlad_geo.rigs.calibration import floats_in, stated_lens
 from pcwlad_geo.rigs.lens import Lens
+from pcwlad_geo.rigs.temperatures import Maker, maker_of, problem_of, temperatures_k
 from pcwlad_geo.types import Float32, Float64, PathLike
 
 ENDINGS: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png")
@@ -63,6 +64,10 @@ class Frame:
     xmp: Mapping[str, str]
     """What XMP says that still holds of a corrected frame, by its name without namespace."""
     bands: int = 1
+    thermal: Maker | None = None
+    """Whose radiometric JPEG it is, if its temperatures are read."""
+    colours_only: str | None = None
+    """Why the temperatures of a radiometric JPEG are not read."""
 
     @property
     def tells_focal(self) -> bool:
@@ -162,6 +167,19 @@ def _captures(read: Sequence[tuple[str, str, Frame]], unread: list[tuple[str, st
     return sorted(captures, key=lambda capture: capture.name)
 
 
+def thermal_note(captures: Iterable[Capture]) -> str | None:
+    """Return the warning that the temperatures of radiometric JPEGs are not read; None where all are."""
+    frames = (frame for capture in captures for frame in capture.frames.values())
+    frame = next((frame for frame in frames if frame.colours_only is not None), None)
+    if frame is None:
+        return None
+    maker, _, advice = (frame.colours_only or "").partition(": ")
+    return (
+        f"lens {frame.lens} is of radiometric JPEGs of {maker}, of which only the colours are matched and "
+        f"resampled: no temperature is in the result ({advice}, before the rig is learned)"
+    )
+
+
 def _compiled(pattern: str) -> re.Pattern[str]:
     try:
         compiled = re.compile(pattern)
@@ -185,7 +203,14 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         exif, xmp = exif_of(dataset), xmp_of(dataset)
         shape, dtype, camera, bands = dataset.shape, dataset.dtypes[0], camera_of(dataset), dataset.count
     plain = {name.rpartition(" ")[2]: values for name, values in xmp.items()}
-    stated = stated_lens(plain, exif, shape)
+    stated, focal_px = stated_lens(plain, exif, shape), camera.focal_px if camera else None
+    maker = maker_of(uri)
+    problem = None if maker is None else problem_of(maker)
+    if maker is not None and problem is None:
+        coloured, shape = shape, temperatures_k(uri, maker).shape
+        dtype, bands = "float32", 1
+        if shape != coloured:  # the picture has other pixels than the sensor
+            stated, focal_px = None, focal_px and focal_px * shape[1] / coloured[1]
     wavelength = floats_in(plain.get("CentralWavelength", ())), floats_in(plain.get("WavelengthFWHM", ()))
     order = floats_in(plain.get("RigCameraIndex", ()))
     return Frame(
@@ -195,7 +220,7 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
         dtype=dtype,
         camera=" ".join(_camera_words(exif)),
         calibrated=stated,
-        focal_px=camera.focal_px if camera else None,
+        focal_px=focal_px,
         height_m=camera.height_m if camera else None,
         order=order[0] if order else 1e9,
         capture_id=next((plain[name][0] for name in CAPTURE_IDS if plain.get(name)), ""),
@@ -206,6 +231,8 @@ def read_frame_facts(path: PathLike, lens: str = "") -> Frame:
             name: ", ".join(values)[:200] for name, values in plain.items() if not _OF_THE_LENS.search(name)
         },
         bands=bands,
+        thermal=maker if problem is None else None,
+        colours_only=None if problem is None else f"{maker}: {problem}",
     )
 
 
@@ -214,8 +241,14 @@ def _camera_words(exif: Mapping[str, str]) -> list[str]:
     return [word for name in names if (word := exif.get(f"EXIF_{name}", "").strip("\x00 "))]
 
 
-def read_frame(path: str, shape: tuple[int, int]) -> Float32:
-    """Return the (rows, cols) values of a frame, the mean of its bands; raises `InputError`."""
+def read_frame(frame: Frame) -> Float32:
+    """Return the (rows, cols) values of a frame, the mean of its bands, or its temperatures in kelvin.
+
+    Raises `InputError` if they cannot be read.
+    """
+    path, shape = frame.path, frame.shape
+    if frame.thermal is not None:
+        return temperatures_k(path, frame.thermal)
     with open_raster(path) as dataset:
         check_dataset(path, dataset, 1)
         if dataset.shape != shape:

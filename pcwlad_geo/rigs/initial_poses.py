@@ -64,7 +64,7 @@ def find_start(reference: Frame, target: Frame, first: Lens, second: Lens) -> Fl
 
     Given are the frames of the reference and of the lens, and their lenses by metadata.
     """
-    images = [read_frame(frame.path, frame.shape) for frame in (reference, target)]
+    images = [read_frame(frame) for frame in (reference, target)]
     focal_known = target.tells_focal
     for scale in [1.0] if focal_known else LEARNING.focal_factors:
         vector = second.vector.copy()
@@ -173,7 +173,7 @@ def find_overlap(one: Frame, other: Frame, lens: Lens, plane: Float64) -> Float6
 
     The frames are those of the reference lens, and the (3,) `plane` is the inverse depth of the first.
     """
-    images = [read_frame(frame.path, frame.shape) for frame in (one, other)]
+    images = [read_frame(frame) for frame in (one, other)]
     features = overlap_of(*images)
     if features is None:
         return None

@@ -30,7 +30,7 @@ class Sharpness:
 def inspect(capture: Capture) -> tuple[str | None, dict[str, Sharpness]]:
     """Return what shows that a capture is of a panel, or None, and the sharpness of its frames by lens."""
     frames = list(capture.frames.values())
-    values = [read_frame(frame.path, frame.shape) for frame in frames]
+    values = [read_frame(frame) for frame in frames]
     sharpness = {frame.lens: measure_sharpness(plane) for frame, plane in zip(frames, values, strict=True)}
     return panel_shown(frames, values), sharpness
 

@@ -20,7 +20,7 @@ from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster import Trust, trusting
 from pcwlad_geo.rigs.applying import doubt_of, try_capture
-from pcwlad_geo.rigs.captures import Capture, find_frames, group
+from pcwlad_geo.rigs.captures import Capture, find_frames, group, thermal_note
 from pcwlad_geo.rigs.initial_poses import evenly
 from pcwlad_geo.rigs.inspection import BadCaptureError, Sharpness, check_sharpness, inspect, usual_of
 from pcwlad_geo.rigs.learning import learn
@@ -87,6 +87,8 @@ def rig_learn(
         for file, reason in unread:
             on_event(Warned(reason if file in reason else f"{file}: {reason}"))
         whole = list(_whole(groups, on_event))
+        if (note := thermal_note(whole)) is not None:
+            on_event(Warned(note))
         _check_one_camera(whole)
         runner = open_runner(executor, on_event, jobs=checked_jobs(jobs), scheduler=scheduler)
         with runner as opened:

@@ -104,7 +104,7 @@ def matched(
 
 def match_task(task: LensTask) -> Observations | None:
     """Return the tie points of a lens with its reference; None if there are too few."""
-    images = [read_frame(frame.path, frame.shape) for frame in (task.reference, task.target)]
+    images = [read_frame(frame) for frame in (task.reference, task.target)]
     positions = matched_pair(task, *images)
     if positions is None or len(positions[0]) < LEARNING.min_lens_points:
         return None

@@ -118,7 +118,7 @@ def split_plan(
     names = {}
     for frame, capture in frames:
         path = _relative(Path(frame.path), folders)
-        if path.suffix.lower() not in (*JPEG, *TIFF):
+        if path.suffix.lower() not in (*JPEG, *TIFF) or frame.thermal is not None:
             path = path.with_suffix(".tif")
         if program == "odm":
             folder = "images"
