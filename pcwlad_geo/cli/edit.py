@@ -137,8 +137,6 @@ def _parsed(line: str) -> dict[str, Any]:
 def _answer(
     editor: Editor, request: dict[str, Any], tell: Tell, waiting: queue.Queue[dict[str, Any] | None]
 ) -> None:
-    from pcwlad_geo.tiepoints.table import columns_of
-
     what, number = request.get("do"), request.get("number")
     off, deleted = ({int(index) for index in request.get(name, ())} for name in ("off", "gone"))
     numbered = off | deleted
@@ -164,13 +162,32 @@ def _answer(
         radius_px = min(float(request.get("radius_px", most_px)), most_px)
         by_px = {"target_px": in_target} if names[1] == "target_px" else {}
         refined = editor.add(reference_xy, None if by_px else in_target, radius_px, deleted, **by_px)
-        point = {name: values[-1].item() for name, values in columns_of(editor.table).items()}
-        tell("added", {"number": number, "refined": refined, "point": point})
+        tell("added", {"number": number, "refined": refined, "point": _last(editor)})
+    elif what == "improve":
+        _improve(editor, request, off, deleted, tell)
     elif what == "save":
         _save(editor, Path(request["path"]), off, deleted)
         tell("saved", {"number": number, "path": request["path"]})
     else:
-        raise ValueError(f"unknown request {str(what)[:SHOWN]!r}: give fit, add or save")
+        raise ValueError(f"unknown request {str(what)[:SHOWN]!r}: give fit, add, improve or save")
+
+
+def _improve(editor: Editor, request: dict[str, Any], off: set[int], deleted: set[int], tell: Tell) -> None:
+    """Refine all points that are on, one after the other, and tell which the others contradict."""
+    most_px, gone = editor.parameters.radius_px, set(deleted)
+    radius_px = min(float(request.get("radius_px", most_px)), most_px)
+    for row in sorted(set(range(len(editor.table))) - off - deleted):
+        refined = editor.improve(row, radius_px, gone)
+        gone |= {row} if refined else set()
+        tell("improved", {"row": row, "point": _last(editor) if refined else None})
+    tell("contradicting", {"rows": editor.contradicting(off | gone)})
+
+
+def _last(editor: Editor) -> dict[str, object]:
+    """Return the point that was added last, as a row of tiepoints.csv."""
+    from pcwlad_geo.tiepoints.table import columns_of
+
+    return {name: values[-1].item() for name, values in columns_of(editor.table).items()}
 
 
 def _save(editor: Editor, place: Path, off: set[int], deleted: set[int]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,6 +34,12 @@ class EditingParameters:
     """Distance from a place that a user shows up to which others are matched too, matching-grid px."""
     radius_px: float = 16.0
     """Distance from the two places shown within which a point is refined, matching-grid px."""
+    fewest: int = 5
+    """Of no more points than these the others contradict none."""
+    wrong_px: float = 2.0
+    """A point that the others predict so well is not wrong, target px."""
+    wrong_factor: float = 4.0
+    """How much farther off than the others in the median a wrong point lies."""
     spacing_px: float = 3.0
     """Two tie points do not lie nearer to each other in the reference, matching-grid px."""
 
@@ -121,6 +128,46 @@ class Editor:
         places_px = views.reference.info.grid.to_px(shown[0]), shown[1] if target_px else to_px(shown[1])
         if not np.abs(np.concatenate(places_px)).max() <= self.parameters.far_px:
             raise InputError(message)
+        return self._add(places_px[0], places_px[1], radius_px, gone)
+
+    def improve(self, row: int, radius_px: float, gone: Collection[int] = ()) -> bool:
+        """Append a point of a row as matching refines it, and return whether it could.
+
+        Where there is no match within `radius_px` (matching-grid px), the table stays as it is.
+        """
+        before, roles = self.table, self._roles
+        place_px, target_px = before.reference_px[row : row + 1], before.target_px[row : row + 1]
+        with suppress(InputError):  # another one lies there
+            if self._add(place_px, target_px, radius_px, {*gone, row}):
+                return True
+        self.table, self._roles = before, roles
+        return False
+
+    def contradicting(self, off: Collection[int]) -> list[int]:
+        """Return the rows of points that the others contradict: those `off` neither judge nor are judged.
+
+        Each point is predicted by an affine fit to the others. The worst is taken out while it lies farther
+        off than `wrong_px`, and `wrong_factor` times as far as the others do in the median without it.
+        """
+        rows = np.setdiff1d(np.arange(len(self.table)), list(off))
+        wrong: list[int] = []
+        while len(rows) > self.parameters.fewest:
+            left_out_px = _left_out_px(self.table.predicted_px[rows], self.table.target_px[rows])
+            worst = int(left_out_px.argmax())
+            rest = np.delete(rows, worst)
+            others_px = _left_out_px(self.table.predicted_px[rest], self.table.target_px[rest])
+            likely_px = self.parameters.wrong_factor * float(np.median(others_px))
+            if left_out_px[worst] < max(self.parameters.wrong_px, likely_px):
+                break
+            wrong.append(int(rows[worst]))
+            rows = rest
+        return sorted(wrong)
+
+    def _add(
+        self, reference_px: Float64, target_px: Float64, radius_px: float, gone: Collection[int]
+    ) -> bool:
+        """Add a point at two (1, 2) file positions, refined where it can be, as `add` does."""
+        views, places_px = self._pair.views, (reference_px, target_px)
         other_px = np.delete(self.table.reference_px, list(gone), axis=0)
         taken_px = views.reference.from_file_px(other_px)
         off_px = np.abs(taken_px - views.reference.from_file_px(places_px[0])).max(axis=1)
@@ -207,3 +254,14 @@ class Editor:
         )
         scale = float(file_px_per_px(views.target)[0])
         return *files_px, best.covariance_px2 * scale**2, best.score
+
+
+def _left_out_px(expected_px: Float64, observed_px: Float64) -> Float64:
+    """Return (n,) how far each of (n, 2) points lies from where an affine fit to the others expects it."""
+    basis, _ = np.linalg.qr(
+        np.column_stack([expected_px - expected_px.mean(axis=0), np.ones(len(expected_px))])
+    )
+    offset_px = observed_px - expected_px
+    alone = np.maximum(1 - (basis**2).sum(axis=1), np.finfo(np.float64).eps)
+    distance_px: Float64 = np.hypot(*(offset_px - basis @ (basis.T @ offset_px)).T) / alone
+    return distance_px

@@ -226,8 +226,8 @@ LABELS = {
     "auto": mark("Automatic"),
     "shift": mark("Shift"),
     "rigid": mark("Shift and rotation (rigid)"),
-    "similarity": mark("Shift, rotation and scale (similarity)"),
-    "affine": mark("Affine"),
+    "similarity": mark("Shift, rotation and scale (similarity, Helmert)"),
+    "affine": mark("Affine (Polynomial 1)"),
     "projective": mark("Projective"),
     "polynomial": mark("Polynomial"),
     "tps": mark("Thin-plate spline"),
@@ -383,6 +383,8 @@ PROOF_LINE = mark(
 """What is told of a proof."""
 WATCH_LINE = mark("Series: {series}; steps: {steps}; parts of the ground that move: {moving}")
 """What is told of a stack over time."""
+IMPROVED = mark("{} of {} points are refined by matching. The others contradict {}: those are selected.")
+"""What is told of points that were refined."""
 PLACE_KEYS = mark(
     "Drag moves the layer, Ctrl-drag turns it, Alt-wheel scales it, arrow keys step, Ctrl-Z takes back."
 )

@@ -79,6 +79,26 @@ def test_an_added_point_is_refined_to_the_true_displacement(folder: Path) -> Non
     assert np.hypot(*(editor.table.reference_px[-1] - place_px)) <= 4.0
 
 
+def test_points_of_a_hand_are_refined_and_those_that_contradict_are_named(folder: Path) -> None:
+    editor = editor_of(folder)
+    rng = np.random.default_rng(8)
+    inside = np.flatnonzero((np.abs(editor.table.reference_px - 160) < 100).all(axis=1))
+    rows = inside[rng.permutation(len(inside))[:9]].tolist()
+    off = set(range(len(editor.table))) - set(rows)
+    editor.table.target_px[rows] += rng.uniform(-3.0, 3.0, (len(rows), 2))
+    assert editor.contradicting(off) == []  # no better than clicks, but none is wrong
+    editor.table.target_px[rows[4]] += (60.0, -45.0)
+    assert editor.contradicting(off) == [rows[4]]
+    assert editor.contradicting({*off, *rows[:4]}) == []  # too few to tell
+    count = len(editor.table)
+    refined = [editor.improve(row, 6.0, off) for row in rows]
+    assert refined == [row != rows[4] for row in rows]
+    assert len(editor.table) == count + len(rows) - 1
+    error_px = np.abs(editor.table.displacement_px[count:] - SHIFT_PX)
+    assert error_px.max() < 0.3
+    assert editor.contradicting(off | set(rows) - {rows[4]}) == [rows[4]]
+
+
 def free_place(editor: Editor, apart_px: float = 4.5) -> NDArray[np.float64]:
     """Return a place (col, row) in the middle of the reference that is far from all tie points, px."""
     tree = cKDTree(editor.table.reference_px)
@@ -164,6 +184,7 @@ def test_a_program_is_answered(
         {"do": "fit", "number": 1, "model": "affine", "off": off},
         {"do": "save", "number": 2, "path": str(saved), "off": off},
         {"do": "dance", "number": 3},
+        {"do": "improve", "off": list(range(8, editor_of(folder).table.target_px.shape[0])), "radius_px": 4},
         {"do": "save", "number": 4, "path": str(saved), "off": [10**15]},
         "nonsense",
     ]
@@ -175,6 +196,10 @@ def test_a_program_is_answered(
     assert by_kind["fit"]["rmse_px"] < 0.2
     assert len(by_kind["fit"]["residual_px"]) == by_kind["ready"]["points"]
     assert [event["number"] for event in events if event["event"] == "failed"] == [3, 4, None]
+    improved = [event for event in events if event["event"] == "improved"]
+    assert [event["row"] for event in improved] == list(range(8))
+    assert sum(event["point"] is not None for event in improved) > 4
+    assert by_kind["contradicting"]["rows"] == []
     rows = [line.split(",") for line in saved.read_text().splitlines() if line[0].isdigit()]
     assert [index for index, row in enumerate(rows) if row[4] == "0"] == off
     dx = np.array([float(row[5]) for row in rows])

@@ -352,6 +352,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Reihen: {series}; Sprünge: {steps}; Teile des Bodens, die sich bewegen: {moving}</translation>
     </message>
     <message>
+      <source>{} of {} points are refined by matching. The others contradict {}: those are selected.</source>
+      <translation>{} von {} Punkten sind durch Matching verfeinert. {} widersprechen den anderen: Sie sind ausgewählt.</translation>
+    </message>
+    <message>
       <source>Drag moves the layer, Ctrl-drag turns it, Alt-wheel scales it, arrow keys step, Ctrl-Z takes back.</source>
       <translation>Ziehen verschiebt den Layer, Strg+Ziehen dreht, Alt+Mausrad skaliert, Pfeiltasten gehen schrittweise, Strg+Z macht rückgängig.</translation>
     </message>
@@ -1088,12 +1092,12 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Verschiebung und Drehung (starr)</translation>
     </message>
     <message>
-      <source>Shift, rotation and scale (similarity)</source>
-      <translation>Verschiebung, Drehung und Maßstab (Ähnlichkeit)</translation>
+      <source>Shift, rotation and scale (similarity, Helmert)</source>
+      <translation>Verschiebung, Drehung und Maßstab (Ähnlichkeit, Helmert)</translation>
     </message>
     <message>
-      <source>Affine</source>
-      <translation>Affin</translation>
+      <source>Affine (Polynomial 1)</source>
+      <translation>Affin (Polynom 1)</translation>
     </message>
     <message>
       <source>Projective</source>
@@ -1322,6 +1326,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Vectors</source>
       <translation>Vektoren</translation>
+    </message>
+    <message>
+      <source>Affine</source>
+      <translation>Affin</translation>
     </message>
     <message>
       <source>Polynomial 2</source>
@@ -1700,6 +1708,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Durch Matching verfeinert.</translation>
     </message>
     <message>
+      <source>The engine refines the points…</source>
+      <translation>Die Engine verfeinert die Punkte…</translation>
+    </message>
+    <message>
       <source>Click the same place on both maps: in the reference (large), in the target (small).</source>
       <translation>Klicken Sie dieselbe Stelle in beiden Karten an: in der Referenz (groß) und im Ziel (klein).</translation>
     </message>
@@ -1844,6 +1856,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Wendet die Korrektur auf andere Kanäle des Layers an; nichts wird verglichen.</translation>
     </message>
     <message>
+      <source>Open points of a file…</source>
+      <translation>Punkte einer Datei öffnen…</translation>
+    </message>
+    <message>
+      <source>Fits the points of a file, such as those of the Georeferencer (.points), to the layers of the page “Align”, and opens them here.</source>
+      <translation>Passt die Punkte einer Datei, etwa die der Georeferenzierung (.points), an die Layer der Seite „Ausrichten“ an und öffnet sie hier.</translation>
+    </message>
+    <message>
       <source>Open an earlier registration…</source>
       <translation>Frühere Registrierung öffnen…</translation>
     </message>
@@ -1942,6 +1962,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Takes the selected points away (Del).</source>
       <translation>Entfernt die gewählten Punkte (Entf).</translation>
+    </message>
+    <message>
+      <source>Refines all points that are on by matching, within the radius, and selects those that the others contradict.</source>
+      <translation>Verfeinert alle eingeschalteten Punkte durch Matching innerhalb des Radius und wählt die aus, denen die anderen widersprechen.</translation>
+    </message>
+    <message>
+      <source>Improve</source>
+      <translation>Verbessern</translation>
     </message>
     <message>
       <source>Matching refines a point within this radius, the circle on both maps.</source>

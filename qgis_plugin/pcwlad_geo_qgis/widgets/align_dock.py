@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Callable
 
 from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui, QtWidgets, uic
@@ -39,7 +39,8 @@ BLINK_MS = 700
 ALIGN, POINTS, COMPARE = range(3)
 """Pages of the dock."""
 TRUST = "--trust-vrt"
-OFFERED = ("start_button", "open_button", "open_points_button", "apply_box", "engine_box", "next_box")
+OFFERED = ("start_button", "open_button", "open_points_button", "file_points_button")
+OFFERED += ("apply_box", "engine_box", "next_box")
 """What can be used while nothing runs."""
 
 
@@ -97,7 +98,8 @@ class AlignDock(gui.QgsDockWidget):
         self.source_button.clicked.connect(self._choose_source)
         self.trust_button.clicked.connect(self.trust)
         self.place_button.clicked.connect(lambda: self.tabs.setCurrentWidget(self.place))
-        self.given_button.clicked.connect(self._choose_points)
+        self.given_button.clicked.connect(lambda: self._choose_points(self.align_by))
+        self.file_points_button.clicked.connect(lambda: self._choose_points(self.open_points))
         for button in (self.open_button, self.open_points_button):
             button.clicked.connect(lambda: self.open_earlier())
         composed = {"red_cyan": self.red_cyan_button, "edges": self.edges_button}
@@ -238,11 +240,11 @@ class AlignDock(gui.QgsDockWidget):
             self._trusted |= _sources(job)
         self._begin([self._sure(each) for each in jobs])
 
-    def _choose_points(self) -> None:
+    def _choose_points(self, then: Callable[[str], None]) -> None:
         asked, kinds = tr("Tie points of a file"), tr("Tie points (*.points *.csv *.pts *.txt)")
         path, _ = QtWidgets.QFileDialog.getOpenFileName(self, asked, "", kinds)
         if path:
-            self.align_by(path)
+            then(path)
 
     def align_by(self, points: str) -> None:
         """Align the pair that was refused by the points of a file."""
@@ -323,6 +325,12 @@ class AlignDock(gui.QgsDockWidget):
         done = {**told(outcome), "OUTPUT_FOLDER": folder, "WARNINGS": []}
         self._load(Job(REGISTER, pair, self._load), done)
 
+    def open_points(self, path: str) -> None:
+        """Fit points of a file, such as the Georeferencer's, to the pair, and edit them."""
+        pair = self.reference.currentLayer(), self.target.currentLayer()
+        place = self.out_folder(pair[1], False, [])
+        self._begin([self._job(*pair, OUTPUT_FOLDER=place, TIE_POINTS=path)])
+
     def apply_to_others(self) -> None:
         """Correct other bands of the layer as it was corrected."""
         jobs: dict[str, Job] = {}
@@ -383,7 +391,8 @@ class AlignDock(gui.QgsDockWidget):
             layer.setParent(self.editor)
         self.editor.apply.connect(self._align_again)
         self.points_page.layout().insertWidget(0, self.editor)
-        self.open_points_button.hide()
+        for button in (self.open_points_button, self.file_points_button):
+            button.hide()
         self.editor.use_button.setDisabled(self._runner.running)
         self.layers["points"] = self.editor.layer.layer  # which is no layer of the project, nor saved with it
 
@@ -401,7 +410,8 @@ class AlignDock(gui.QgsDockWidget):
             self.editor.hide()
             self.editor.deleteLater()
             self.editor = None
-            self.open_points_button.show()
+            for button in (self.open_points_button, self.file_points_button):
+                button.show()
 
     def _turn_page(self) -> None:
         """Show what the page is about, and put away what belongs to others; only its own places the layer."""

@@ -10,7 +10,7 @@ from typing import Callable
 from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui, QtWidgets, sip, uic
 
-from ..help import MODELS, NO_MATCH
+from ..help import IMPROVED, MODELS, NO_MATCH
 from ..model.results import FrameLayer, PointLayer
 from ..process.points import Points
 from ..text import tr
@@ -96,6 +96,7 @@ class PointEditor(QtWidgets.QWidget):
             "add": self.start_adding,
             "move": self.start_moving,
             "delete": self.delete,
+            "improve": self.improve,
             "pick": self.start_picking,
             "save": self._choose_file,
             "use": self.use,
@@ -260,6 +261,31 @@ class PointEditor(QtWidgets.QWidget):
         refined = tr("Refined by matching.") if answer["refined"] else tr(NO_MATCH)
         self._changed(True, refined)
 
+    def improve(self) -> None:
+        """Have the engine refine all points that are on, as clicks of a hand are not exact."""
+        self._say(tr("The engine refines the points…"))
+        self.improve_button.setEnabled(False)  # until it has ended: points are refined once
+        self._improved: list[bool] = []
+        self._ask("improve", radius_px=self.radius.value())
+
+    def _take_improved(self, answer: dict[str, object]) -> None:
+        self._improved.append(answer["point"] is not None)
+        if answer["point"]:
+            self.points.add(answer["point"], answer["row"])
+            self.model.appended()
+
+    def _take_contradicting(self, answer: dict[str, object]) -> None:
+        """Select the points that the others contradict."""
+        self.improve_button.setEnabled(True)
+        self._changed(
+            True, tr(IMPROVED).format(sum(self._improved), len(self._improved), len(answer["rows"]))
+        )
+        self.table.clearSelection()
+        both = QtCore.QItemSelectionModel.SelectionFlag.Select | QtCore.QItemSelectionModel.SelectionFlag.Rows
+        for point in answer["rows"]:
+            row = self.sorted.mapFromSource(self.model.index(point, 0))
+            self.table.selectionModel().select(row, both)
+
     def _take_saved(self, answer: dict[str, object]) -> None:
         if answer["path"] == self._using:
             self._using = None
@@ -274,6 +300,7 @@ class PointEditor(QtWidgets.QWidget):
 
     def _take_error(self, answer: dict[str, object]) -> None:
         self._say(str(answer["message"]))
+        self.improve_button.setEnabled(True)
         if self._using is not None:
             self._using = None
             self.use_button.setEnabled(True)

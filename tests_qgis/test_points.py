@@ -1,0 +1,68 @@
+"""Points that a hand has made, opened in the editor, refined by matching, and those that contradict."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Finished
+from osgeo import gdal
+from test_window import run_in_window
+
+WRONG_PX = (60.0, -45.0)
+
+
+@pytest.fixture(scope="module")
+def seen(
+    profile: Path, finished: Finished, sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Any]:
+    """Open nine points that are up to 2 px off, and one that is wrong, in the window."""
+    folder = tmp_path_factory.mktemp("points")
+    places = {}
+    for name, path in zip(("reference", "target"), sample):
+        places[name] = str(shutil.copy(path, folder / path.name))
+    table = Path(finished.outcome["paths"]["tiepoints"])
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["status"] == "fit"]
+    rng = np.random.default_rng(12)
+    inside = [row for row in rows if all(150 < float(row[f"tgt_{axis}"]) < 550 for axis in ("col", "row"))]
+    chosen = [inside[k] for k in rng.permutation(len(inside))[:10]]
+    x, width, _, y, _, height = gdal.Open(places["target"]).GetGeoTransform()
+    lines = ["#CRS: EPSG:32633", "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"]
+    for number, row in enumerate(chosen):
+        off = WRONG_PX if number == 4 else rng.uniform(-2.0, 2.0, 2)
+        col, line = float(row["tgt_col"]) + off[0], float(row["tgt_row"]) + off[1]
+        lines.append(f"{row['x']},{row['y']},{x + col * width},{y + line * height},1,0,0,0")
+    places["points"] = str(folder / "hand.points")
+    Path(places["points"]).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    places["nonsense"] = str(folder / "notes.txt")
+    Path(places["nonsense"]).write_text("buy milk\n", encoding="utf-8")
+    return run_in_window("points.py", profile, folder, places)
+
+
+def test_a_file_without_points_is_told(seen: dict[str, Any]) -> None:
+    assert "✖" in seen["nonsense"]
+    assert "notes.txt is no file of tie points" in seen["nonsense"]
+    assert seen["errors"] == []
+    assert seen["modal"] == []
+
+
+def test_hand_made_points_are_refined_and_the_wrong_one_is_selected(seen: dict[str, Any]) -> None:
+    assert seen["page"] is True
+    assert "Tie points: 9" in seen["verdict"]
+    assert seen["off"] == [4]  # which the others contradict so much that it is off at first
+    assert "9 of 10 points are refined by matching. The others contradict 1" in seen["told"]
+    assert seen["chosen"] == [5]  # its number
+    assert seen["rows"] == [10, 9]
+
+
+def test_the_fit_is_that_of_matching_then_and_can_be_taken_back(seen: dict[str, Any]) -> None:
+    before, with_wrong, after, back = seen["rmse"]
+    assert with_wrong > 10 > before
+    assert after < min(before, 0.5)
+    assert back == pytest.approx(before)
+    assert seen["undone"] >= 10
