@@ -93,7 +93,7 @@ def test_corrected_files_lie_where_the_correction_says(pair: tuple[Path, Path], 
 def test_a_spline_has_a_raster_and_no_geotransform(pair: tuple[Path, Path], use: Use, tmp_path: Path) -> None:
     points = make_registration().tie_points.select("fit")
     selection = choose(points.predicted_px, points.target_px, points.covariance_px2, 81.0, ("tps",))
-    use(correction=selection.fit.correction, selection=selection)
+    use(model=selection.fit.correction, selection=selection)
     workflow.register(*pair, write_sigma=True, model="tps")
     folder = tmp_path / "b10_registered"
     assert names(folder) == COMMON | EXCHANGE | {"b10_registered.tif", "b10_sigma.tif"}

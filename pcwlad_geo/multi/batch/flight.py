@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
+from pcwlad_geo.arguments import shown
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.raster import Grid, describe, middle_pixel_size_m, open_raster, transform_xy
@@ -68,7 +69,7 @@ class Flight:
         """
         for name, value in (("within", within), ("photo_size", photo_size)):
             if value is not None and not 0 < value < LIMITS.coordinate:
-                raise SettingsError(f"{name} = {value}: give a length in metres above 0")
+                raise SettingsError(f"{name} = {shown(value)}: give a length in metres above 0")
         if reference is None:
             return None
         folder = None if photos is None else Path(photos)
