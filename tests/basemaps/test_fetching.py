@@ -18,7 +18,9 @@ from pcwlad_geo.basemaps.services import find_service
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.job import match_files
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Grid
+from pcwlad_geo.registration import prepare_pair
 from tests.basemaps.server import ZOOM, MapServer, map_grid, serving
 from tests.scenes import make_grid, render, write
 
@@ -264,6 +266,6 @@ def test_a_drawn_map_is_said_to_be_one(files: tuple[Path, Path, Path], tmp_path:
     place.write_bytes(files[0].read_bytes())
     with rasterio.open(place, "r+") as file:
         file.update_tags(BASEMAP_NAME="Streets", BASEMAP_KIND="map", BASEMAP_ATTRIBUTION="a mapper")
-    pair = pcwlad_geo.open_pair(place, files[1])
+    pair = prepare_pair(place, files[1], Settings())
     assert any("Streets is a drawn map" in warning for warning in pair.warnings)
     assert pair.reference.basemap.text == "Streets (a mapper, 28.7 m a pixel)"
