@@ -26,6 +26,7 @@ GATES = {
     "files that made stacks, rigs and edits fail": "fuzz/test_hostile_capabilities.py::"
     "test_hostile_capabilities_end_with_a_sentence",
     "small cases of the field": "fuzz/test_field_cases.py::test_the_field_is_met",
+    "notebooks": "docs/test_notebooks.py::test_a_notebook_runs",
     "a cluster": "execution/test_faults.py::test_a_cluster_gives_the_same_points",
 }
 """What a change may break that no quick test covers from end to end, and the slow test of it."""
