@@ -41,13 +41,12 @@ from pcwlad_geo.registration import CorrectedRpc, RpcRegistration, requested_gri
 from pcwlad_geo.registration.inputs import check_placed
 from pcwlad_geo.registration.rpc import correct_other_image
 from pcwlad_geo.report.finished import FinishedRegistration, read_registration
-from pcwlad_geo.report.fitted_again import read_precision
 from pcwlad_geo.types import PathLike
 from pcwlad_geo.vector_warping import (
     Movement,
-    Precision,
     is_vector,
     moved_vectors,
+    precision_in_metres,
     vector_place,
     write_vectors,
 )
@@ -231,7 +230,7 @@ def warp(
         warp_output = WarpOutput(finished.reference_grid, request, fmt, resampling or finished.resampling)
         precision = None
         if write_sigma:
-            precision = Precision(read_precision(registration, finished), finished.target_grid)
+            precision = precision_in_metres(registration, finished)
         movement = Movement(finished, None, inverse, precision=precision)
         moved = moved_vectors(vectors, movement, on_event)
         warped: tuple[Path, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from rasterio.crs import CRS
 
 from pcwlad_geo.correction.dense import in_chunks
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.correction.precision import Precision
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.correction.vertices import densify
 from pcwlad_geo.errors import InputError, OutputError
@@ -27,6 +29,7 @@ from pcwlad_geo.raster import WGS84, Grid, pixel_sizes_m, transform_xy
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
 from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers, sqlite_file
 from pcwlad_geo.report.finished import FinishedRegistration
+from pcwlad_geo.report.fitted_again import read_precision
 from pcwlad_geo.types import Float64
 
 WRITTEN: Final = {
@@ -48,7 +51,7 @@ SIGMA_DIGITS: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Precision:
+class FittedInMetres:
     """The standard deviation of a correction: interpolated over the target, computed at places beyond it."""
 
     selection: Selection
@@ -79,6 +82,31 @@ class SigmaInMetres(Protocol):
 
     def sigma_m(self, predicted_px: Float64) -> Float64:
         """Return the (n,) standard deviation along an axis, metres, at the (n, 2) `predicted_px`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InMetres:
+    """The precision of a correction in metres."""
+
+    of: Precision
+    target: Grid
+
+    def sigma_m(self, predicted_px: Float64) -> Float64:
+        """Return the (n,) standard deviation along an axis, metres, at the (n, 2) `predicted_px`."""
+        sizes_m = pixel_sizes_m(self.target, predicted_px)
+        if sizes_m is None:
+            raise InputError("sigma_m is not known without a CRS: leave it out")
+        return np.asarray(np.sqrt(((self.of.sigma(predicted_px) * sizes_m) ** 2).mean(axis=1)))
+
+
+def precision_in_metres(folder: str | os.PathLike[str], registration: FinishedRegistration) -> SigmaInMetres:
+    """Return the precision of a registration that was read from `folder`, or from a saved correction.
+
+    Raises `InputError` if neither tells it.
+    """
+    if registration.precision is not None:
+        return InMetres(registration.precision, registration.target_grid)
+    return FittedInMetres(read_precision(folder, registration), registration.target_grid)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

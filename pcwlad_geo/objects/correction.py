@@ -21,7 +21,7 @@ from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.objects.files import content_of
 from pcwlad_geo.objects.plots import label_pixels, new_axes, plot_lattice
 from pcwlad_geo.objects.tie_points import TiePoints
-from pcwlad_geo.objects.vectors import InMetres, is_vector_frame, warp_frame
+from pcwlad_geo.objects.vectors import is_vector_frame, warp_frame
 from pcwlad_geo.objects.warping import WarpKeywords, warp_raster
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
@@ -33,7 +33,7 @@ from pcwlad_geo.report.correction_file import text_of
 from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.text import Shown
 from pcwlad_geo.types import Float64, PathLike
-from pcwlad_geo.vector_warping import Movement, is_vector, moved_vectors, write_vectors
+from pcwlad_geo.vector_warping import InMetres, Movement, is_vector, moved_vectors, write_vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

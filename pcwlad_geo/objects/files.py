@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.models import Correction as Model
 from pcwlad_geo.correction.precision import SigmaLattice
@@ -65,11 +63,7 @@ def parts_of(path: Path, file: CorrectionFile) -> dict[str, Any]:
     try:
         parts: dict[str, Any] = {"model": from_dict({"name": file.model.name, "forward": file.model.forward})}
         if file.sigma is not None:
-            sigma_px = np.array(file.sigma.sigma_px, dtype=np.float64)
-            axes = np.array(file.sigma.cols_px), np.array(file.sigma.rows_px)
-            if sigma_px.shape != (len(axes[1]), len(axes[0]), 2) or min(sigma_px.shape[:2]) < 2:
-                raise ValueError(f"sigma of shape {sigma_px.shape} does not fit its nodes")
-            parts["precision"] = SigmaLattice(*axes, sigma_px)
+            parts["precision"] = file.sigma.lattice()
         if file.accuracy is not None and file.quality is not None:
             parts["evidence"] = FitAccuracy(file.accuracy), file.quality
         if file.tie_points is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,8 @@ from rasterio.crs import CRS
 from pcwlad_geo.correction.precision import Precision
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback
-from pcwlad_geo.raster import Grid, pixel_sizes_m
 from pcwlad_geo.report.finished import FinishedRegistration
-from pcwlad_geo.types import Float64
-from pcwlad_geo.vector_warping import SIGMA_FIELD, Movement, moved_shapes
+from pcwlad_geo.vector_warping import SIGMA_FIELD, InMetres, Movement, moved_shapes
 
 
 def is_vector_frame(value: object) -> bool:
@@ -67,18 +64,3 @@ def _crs_of(frame: Any, registration: FinishedRegistration) -> CRS | None:  # no
             "without a CRS (set_crs(None, allow_override=True))"
         )
     return None if frame.crs is None else CRS.from_wkt(frame.crs.to_wkt())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class InMetres:
-    """The precision of a correction in metres."""
-
-    precision: Precision
-    target: Grid
-
-    def sigma_m(self, predicted_px: Float64) -> Float64:
-        """Return the (n,) standard deviation along an axis, metres, at the (n, 2) `predicted_px`."""
-        sizes_m = pixel_sizes_m(self.target, predicted_px)
-        if sizes_m is None:
-            raise InputError("sigma_m is not known without a CRS: leave it out")
-        return np.asarray(np.sqrt(((self.precision.sigma(predicted_px) * sizes_m) ** 2).mean(axis=1)))

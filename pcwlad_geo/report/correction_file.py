@@ -9,7 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+import numpy as np
+
 from pcwlad_geo.correction.error_statistics import Accuracy
+from pcwlad_geo.correction.precision import SigmaLattice
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import OutputGrid, Resampling
 from pcwlad_geo.raster import FileIdentity, RpcModel
@@ -68,6 +71,14 @@ class SigmaEntry:
     """Rows of the nodes, predicted target px."""
     sigma_px: tuple[tuple[tuple[float | None, float | None], ...], ...]
     """By row and column of the nodes, per axis (col, row), target px; null where not known."""
+
+    def lattice(self) -> SigmaLattice:
+        """Return it as arrays. Raises `ValueError` if it does not fit its nodes."""
+        sigma_px = np.array(self.sigma_px, dtype=np.float64)
+        axes = np.array(self.cols_px), np.array(self.rows_px)
+        if sigma_px.shape != (len(axes[1]), len(axes[0]), 2) or min(sigma_px.shape[:2]) < 2:
+            raise ValueError(f"sigma of shape {sigma_px.shape} does not fit its nodes")
+        return SigmaLattice(*axes, sigma_px)
 
 
 @dataclass(frozen=True, slots=True)

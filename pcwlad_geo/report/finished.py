@@ -13,6 +13,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from pcwlad_geo.correction.models import Correction
+from pcwlad_geo.correction.precision import Precision
 from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
@@ -115,6 +116,8 @@ class FinishedRegistration:
     """RPCs of a target with one, by which other images taken with it are corrected."""
     inputs: tuple[FileIdentity, ...] = ()
     """Identities of the input files; empty in reports of earlier versions."""
+    precision: Precision | None = None
+    """Of a saved correction that holds it; that of a folder follows from its tie points."""
 
 
 def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
@@ -171,8 +174,9 @@ def of_file(path: Path, file: CorrectionFile) -> FinishedRegistration:
             resampling=output.resampling,
             rpc=None if rpc is None else filled(CorrectedRpc, rpc, shape=file.target.shape),
             inputs=file.inputs,
+            precision=None if file.sigma is None else file.sigma.lattice(),
         )
-    except (ValueError, CRSError, SettingsError) as error:
+    except (TypeError, ValueError, CRSError, SettingsError) as error:
         raise InputError(f"{path} is damaged ({joined(error)}): save the correction again") from error
 
 

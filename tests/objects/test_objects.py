@@ -344,6 +344,19 @@ def test_vectors_follow_as_the_raster_does(fitted: Fitted) -> None:
     assert isinstance(fitted.fix.warp(frame.geometry), geopandas.GeoSeries)
 
 
+def test_the_command_line_tells_the_precision_of_a_saved_correction(
+    fitted: Fitted, tmp_path: Path, cli_here: Callable[..., Result]
+) -> None:
+    frame = geopandas.GeoDataFrame(geometry=[shapely.Point(*GRID.to_xy(PLACES[:1])[0])], crs=GRID.crs)
+    frame.to_file(tmp_path / "places.gpkg")
+    fitted.fix.save(tmp_path / "fix.json")
+    done = cli_here("warp", "fix.json", "places.gpkg", "--write-sigma", "--out-dir", "moved")
+    assert done.returncode == 0, done.stderr
+    by_file = geopandas.read_file(next((tmp_path / "moved").glob("*.gpkg")))
+    in_python = fitted.fix.warp(frame, sigma_m=True)
+    assert by_file["sigma_m"][0] == pytest.approx(in_python["sigma_m"][0], rel=0.02)
+
+
 def test_vectors_that_cannot_follow_are_said(fitted: Fitted, tmp_path: Path) -> None:
     frame = geopandas.GeoDataFrame(geometry=[shapely.Point(*GRID.to_xy(PLACES)[0])])
     with pytest.raises(pg.InputError, match="has no CRS: assign it"):
