@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -343,7 +344,7 @@ def load(path: PathLike) -> Correction:
     """
     place = Path(path)
     content: Any = None
-    if place.is_file():
+    if os.path.isfile(place):  # noqa: PTH113 (Path.is_file raises for a name that no file can have)
         try:
             content = read_json(place)
         except (OSError, ValueError) as error:

@@ -50,9 +50,9 @@ def test_landsat_b10_to_its_own_b4(ending: str, tmp_path: Path, monkeypatch: pyt
     cloud = (slice(60, 130), slice(40, 110))
     target = write_landsat(tmp_path / "tgt", shift_m=SHIFT_M, cloud=cloud)
     given = packed(target, ending, with_folder=False) if ending else target
-    found = pcwlad_geo.register(reference, given, ref_band="B4", tgt_band="B10", **SMALL)
-    assert found.status == "registered"
     out_dir = Path(f"{LANDSAT}_registered")
+    found = pcwlad_geo.register(reference, given, ref_band="B4", tgt_band="B10", out_dir=out_dir, **SMALL)
+    assert found.status == "registered"
     names = {path.name for path in out_dir.iterdir()}
     assert {f"{LANDSAT}_{band}_registered.tif" for band in ("B4", "B8", "B10")} <= names
     assert {f"{LANDSAT}_B10.TIF.points", f"{LANDSAT}_B10_corrected.vrt", f"{LANDSAT}_B10_gcps.vrt"} <= names
