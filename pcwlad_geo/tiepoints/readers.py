@@ -23,6 +23,7 @@ FORMATS: Final = Registry(
         "pcwlad_geo.tiepoints.csv_file:CSV",
         "pcwlad_geo.tiepoints.gdal_csv:GDAL_CSV",
         "pcwlad_geo.tiepoints.asp:ASP",
+        "pcwlad_geo.tiepoints.odm:ODM",
         "pcwlad_geo.tiepoints.geopackage:GEOPACKAGE",
         "pcwlad_geo.tiepoints.correction_points:CORRECTION",
     ),
@@ -42,7 +43,7 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
     - ENVI `.pts`, image to image or image to map: the header's line "Base Image (x,y), Warp Image (x,y)"
       gives the order; without it the base comes first;
     - `_gcps.csv`: columns column, line, x, y, as GDAL takes them;
-    - `.gcp` of the Ames Stereo Pipeline: the points that the target shows;
+    - `.gcp` of the Ames Stereo Pipeline, `gcp_list.txt` of OpenDroneMap: the points that the target shows;
     - a raster with ground control points.
 
     Raises `InputError` if the format is none of these, a cell is not a number, or there is no point.
@@ -107,6 +108,6 @@ def _unknown(path: str) -> InputError:
     return InputError(
         f"{path} is no file of tie points: give a tiepoints.csv (columns {', '.join(POSITIONS)}), a "
         "tiepoints.gpkg, a saved correction, a table of GCPs (column, line, x, y), a QGIS .points file, an "
-        "ENVI .pts file, an ASP .gcp file or a raster with ground control points"
+        "ENVI .pts file, an ASP .gcp file, a gcp_list.txt or a raster with ground control points"
         + "".join(f"; {problem}" for problem in FORMATS.problems())
     )

@@ -357,6 +357,42 @@ def test_gdal_reads_the_table_of_gcps_by_its_names(pair: ViewPair, tmp_path: Pat
     np.testing.assert_allclose(read, np.hstack([accepted.target_px, accepted.xy]), atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "crs", ["EPSG:{epsg}", "WGS84 UTM {zone}N", "+proj=utm +zone={zone} +datum=WGS84 +units=m"]
+)
+def test_points_of_opendronemap_are_those_of_the_target(crs: str, pair: ViewPair, tmp_path: Path) -> None:
+    path = tmp_path / "gcp_list.txt"
+    reference_px = np.array([[100.0, 50.0], [300.0, 200.0]])
+    epsg = REFERENCE.crs.to_epsg()
+    header = crs.format(epsg=epsg, zone=epsg % 100)
+    lines = ["# measured in May", header]
+    for number, (x, y) in enumerate(REFERENCE.to_xy(reference_px).tolist()):
+        lines.append(f"{x:.4f} {y:.4f} 310.5 {10.0 + number} 20.0 tgt.tif gcp{number}")
+    path.write_text("\n".join([*lines, f"{x} {y}\t300 7 8 left.tif"]) + "\n")
+    table = read_tie_points(path, pair)
+    np.testing.assert_allclose(table.target_px, [[10.0, 20.0], [11.0, 20.0]], atol=1e-9)
+    np.testing.assert_allclose(table.reference_px, reference_px, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("EPSG:32633\n1 2 3 4 5 left.tif\n1 2 3 4 5 right.tif\n", "none of tgt.tif"),
+        ("EPSG:32633\n1 2 3 4 5\n", "line 2 has 5 cells"),
+        ("EPSG:32633\n1 2 3 4 five tgt.tif\n", "line 2"),
+        ("EPSG:999999\n1 2 3 4 5 tgt.tif\n", "CRS in its first line"),
+        ("EPSG:32633\n", "holds no tie points"),
+    ],
+)
+def test_a_damaged_list_of_opendronemap_says_where(
+    text: str, says: str, pair: ViewPair, tmp_path: Path
+) -> None:
+    path = tmp_path / "gcp_list.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
+        read_tie_points(path, pair)
+
+
 def test_points_of_asp_are_those_of_the_target(pair: ViewPair, tmp_path: Path) -> None:
     """Pixels count from the middle of the first one, and places are latitude, longitude."""
     path = tmp_path / "two images.gcp"
