@@ -27,7 +27,7 @@ from pcwlad_geo.report.maps import (
 from pcwlad_geo.report.page_templates import page_environment
 from pcwlad_geo.report.proof_page import proof_section
 from pcwlad_geo.report.statistics import PrecisionMap, heights_m, precision_of
-from pcwlad_geo.report.views import PairView, pair_views, read_backdrop
+from pcwlad_geo.report.views import PairView, WholeView, pair_views, read_backdrop, whole_view
 
 OPTIONAL: Final = ("residuals", "distribution", "trends", "profiles", "candidates", "sigma")
 """Names of the figures that not every page has."""
@@ -44,6 +44,8 @@ class Drawings:
     missing: list[tuple[GapStyle, int]]
     """Kinds of squares without tie points, and their numbers."""
     views: list[PairView]
+    whole: WholeView | None
+    """None where the files cannot be read quickly."""
     warp_line: str | None
     """Shell command that warps the target by a thin-plate spline."""
     proved: Mapping[str, object] = field(default_factory=dict)
@@ -79,6 +81,7 @@ def compose(
         figures=_figures(registration, report, precision or precision_of(registration), image),
         missing=missing_kinds(report.coverage),
         views=pair_views(registration),
+        whole=whole_view(registration),
         warp_line=warp_line(gcps_vrt) if gcps_vrt else None,
         proved=proof_section(registration, registration.proof) if registration.proof else {},
     )

@@ -15,7 +15,7 @@ from PIL import Image
 
 from pcwlad_geo.report.answers import MARKS, percent
 from pcwlad_geo.report.charts import data_uri
-from pcwlad_geo.report.views import checkered
+from pcwlad_geo.report.views import checkered, red_cyan
 from pcwlad_geo.text import plain
 
 
@@ -29,9 +29,11 @@ def page_environment(package: str) -> Environment:
     environment.filters["plain"] = plain
     environment.filters["svg"] = _svg
     environment.filters["jpeg"] = _jpeg
+    environment.filters["lines"] = _lines
     environment.globals |= {
         "style": _source(environment, "style.css"),
         "checkered": checkered,
+        "red_cyan": red_cyan,
         "marks": MARKS,
         **page_script(environment, "slider.js"),
     }
@@ -56,10 +58,18 @@ def _svg(text: str) -> str:
     return data_uri("image/svg+xml", text.encode())
 
 
-def _jpeg(image: NDArray[np.uint8]) -> str:
+def _jpeg(image: NDArray[np.uint8], quality: int = 82) -> str:
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "jpeg", quality=82)
+    Image.fromarray(image).save(buffer, "jpeg", quality=quality)
     return data_uri("image/jpeg", buffer.getvalue())
+
+
+def _lines(image: NDArray[np.uint8]) -> str:
+    """Return a (rows, cols) picture of lines as a PNG, yellow where it is not 0, transparent elsewhere."""
+    buffer, drawn = io.BytesIO(), Image.fromarray((image > 0).astype(np.uint8), "P")
+    drawn.putpalette([0, 0, 0, 255, 212, 0])
+    drawn.save(buffer, "png", transparency=0, optimize=True)
+    return data_uri("image/png", buffer.getvalue())
 
 
 def _figure(value: object, digits: int = 3) -> str:

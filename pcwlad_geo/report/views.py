@@ -1,4 +1,4 @@
-"""Small views of the two images, superimposed before and after the correction."""
+"""Views of the two images, one over the other, before and after the correction: of places, and of all."""
 
 from __future__ import annotations
 
@@ -32,6 +32,12 @@ class ViewParameters:
 
     side_px: int = 360
     """Side of a view on the page."""
+    places: int = 6
+    """Number of places that are shown."""
+    whole_side_px: int = 460
+    """Longer side of the view of the whole scene."""
+    edge_percentiles: tuple[float, float] = (80.0, 92.0)
+    """Of the gradients of the whole scene: from where an edge goes on, and from where it begins."""
     shown_px: tuple[float, float] = (40.0, 400.0)
     """Least and largest number of target pixels along a side of a view."""
     sides_per_displacement: float = 30.0
@@ -75,13 +81,32 @@ class PairView:
     """The target corrected; None without a correction."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WholeView:
+    """Grey-value images of all of the reference, 0 where there is no data."""
+
+    reference: Picture
+    """(rows, cols), as are all."""
+    edges: Picture
+    """255 on the edges of the reference, else 0."""
+    before: Picture
+    """The target placed by its georeferencing."""
+    after: Picture | None
+    """The target corrected; None without a correction."""
+
+
 def read_backdrop(info: RasterInfo, side_px: int = 350) -> Picture | None:
     """Return a reduced raster as a (rows, cols) array of uint8 grey values, 0 where it has no data.
 
     The longer side has at most `side_px` pixels. The result is None if reading fails or would take long.
     """
+    reduced = _reduced(info, max(1.0, max(info.grid.shape) / side_px))
+    return None if reduced is None else stretched(*reduced)
+
+
+def _reduced(info: RasterInfo, factor: float) -> tuple[Float64, Bool] | None:
+    """Return a band and its validity, with one pixel for `factor` px; None if that fails or takes long."""
     rows, cols = info.grid.shape
-    factor = max(1.0, max(rows, cols) / side_px)
     shape = (max(1, round(rows / factor)), max(1, round(cols / factor)))
     try:
         if not has_quick_overview(info):
@@ -91,11 +116,60 @@ def read_backdrop(info: RasterInfo, side_px: int = 350) -> Picture | None:
             valid = (dataset.read_masks(info.band, out_shape=shape) > 0) & is_plausible(values, info.limits)
     except (InputError, RasterioError):
         return None
-    return stretched(values, valid)
+    return values, np.asarray(valid, dtype=np.bool_)
+
+
+def whole_view(registration: Registration, parameters: ViewParameters = VIEWS) -> WholeView | None:
+    """Return both images on all of the reference; None if a file cannot be read quickly."""
+    reference, target = registration.reference, registration.target
+    factor = max(1.0, max(reference.grid.shape) / parameters.whole_side_px)
+    ground = _reduced(reference, factor)
+    if ground is None:
+        return None
+    (rows, cols), (high, wide) = reference.grid.shape, ground[0].shape
+    axes = np.linspace(0, cols, parameters.nodes), np.linspace(0, rows, parameters.nodes)
+    nodes = np.stack(np.meshgrid(*axes), -1)
+    predicted = _prediction(registration)(nodes.reshape(-1, 2)).reshape(nodes.shape)
+    if not np.isfinite(predicted).all():
+        return None
+    step_px = np.median(np.hypot(*np.moveaxis(np.diff(predicted, axis=1), -1, 0)))
+    target_factor = max(1.0, float(step_px) * (parameters.nodes - 1) / wide)
+    seen = _reduced(target, target_factor)
+    if seen is None:
+        return None
+
+    def placed(at_px: Float64) -> Picture:
+        per_px = np.array(seen[0].shape[::-1]) / target.grid.shape[::-1]
+        at = (_dense(at_px, (high, wide)) * per_px - 0.5).astype(np.float32)
+        values = cv2.remap(seen[0].astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+        valid = cv2.remap(seen[1].astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+        return stretched(values.astype(np.float64), valid > parameters.least_valid)
+
+    after = None
+    if registration.model is not None:
+        observed = registration.model.forward(predicted.reshape(-1, 2)).reshape(nodes.shape)
+        after = placed(observed) if np.isfinite(observed).all() else None
+    grey = stretched(*ground)
+    return WholeView(grey, _edges_of(grey, parameters), placed(predicted), after)
+
+
+def _edges_of(grey: Picture, parameters: ViewParameters) -> Picture:
+    """Return 255 on the strongest edges of a picture, by Canny's detector, and 0 elsewhere."""
+    soft = cv2.GaussianBlur(grey, (0, 0), 1.2)
+    x, y = cv2.Sobel(soft, cv2.CV_16S, 1, 0), cv2.Sobel(soft, cv2.CV_16S, 0, 1)
+    least, sure = np.percentile(np.abs(x) + np.abs(y), parameters.edge_percentiles)
+    edges = cv2.Canny(x, y, max(float(least), 1.0), max(float(sure), 2.0))
+    inside = cv2.erode((grey > 0).astype(np.uint8), np.ones((5, 5)))
+    return np.where(inside > 0, edges, 0).astype(np.uint8)
+
+
+def red_cyan(one: Picture, other: Picture) -> Picture:
+    """Return a (rows, cols, 3) picture: the (rows, cols) `one` in red, the (rows, cols) `other` in cyan."""
+    return np.stack([one, other, other], axis=-1)
 
 
 def pair_views(registration: Registration, parameters: ViewParameters = VIEWS) -> list[PairView]:
-    """Return views of a clear edge and of the largest residual; none if the files cannot be read."""
+    """Return views of clear edges and of the largest residual; none if the files cannot be read."""
     try:
         viewer = _Viewer(
             registration,
@@ -106,11 +180,15 @@ def pair_views(registration: Registration, parameters: ViewParameters = VIEWS) -
         views = [viewer.view(title, centre_px) for title, centre_px in viewer.places()]
     except (InputError, RasterioError):
         return []
-    visible = [view for view in views if view is not None]
-    same = len(visible) == 2 and np.allclose(
-        visible[0].centre_px, visible[1].centre_px, atol=visible[0].shown_px / 4
-    )
-    return visible[:1] if same else visible
+    shown: list[PairView] = []
+    for view in views:
+        if view is not None and not any(_same_place(view, other) for other in shown):
+            shown.append(view)
+    return shown
+
+
+def _same_place(view: PairView, other: PairView) -> bool:
+    return bool(np.allclose(view.centre_px, other.centre_px, atol=view.shown_px / 4))
 
 
 def stretched(values: Float64, valid: Bool) -> Picture:
@@ -187,12 +265,20 @@ class _Viewer:
             rows, cols = self.registration.reference.grid.shape
             return [("the middle", np.array([cols / 2, rows / 2]))]
         best = points.reference_px[int(np.nanargmax(np.nan_to_num(points.score)))]
-        edge = self._clearest_edge(points) if self.registration.model else None
-        places = [("the most distinct match", best) if edge is None else ("the clearest edge", edge)]
+        edges = self._clear_edges(points) if self.registration.model else []
+        first, *others = edges or [best]
+        places = [("the clearest edge" if edges else "the most distinct match", first)]
         residual = np.nan_to_num(np.hypot(*points.residual_px.T))
         if residual.any():
             places.append(("the largest residual", points.reference_px[int(residual.argmax())]))
-        return places
+        places += [(f"a clear edge, {self._where(place)}", place) for place in others]
+        return places[: self.parameters.places]
+
+    def _where(self, at_px: Float64) -> str:
+        """Return in which ninth of the reference a place lies."""
+        thirds = np.clip(at_px / self.registration.reference.grid.shape[::-1] * 3, 0, 2).astype(int)
+        col, row = ("left", "middle", "right")[thirds[0]], ("upper", "middle", "lower")[thirds[1]]
+        return "in the middle" if col == row else f"{row} {col}"
 
     def view(self, title: str, centre_px: Float64) -> PairView | None:
         """Return a view; None where the target cannot be seen."""
@@ -201,27 +287,33 @@ class _Viewer:
             return None
         side_px = self.parameters.side_px
         of_target = partial(self._sampled, self.registration.target, self.read_target)
-        before = of_target(_dense(outlook.predicted, side_px))
-        after = None if outlook.observed is None else of_target(_dense(outlook.observed, side_px))
+        before = of_target(_dense(outlook.predicted, (side_px, side_px)))
+        after = None if outlook.observed is None else of_target(_dense(outlook.observed, (side_px, side_px)))
         if not before[1].any() and (after is None or not after[1].any()):
             return None
         grey = stretched(
-            *self._sampled(self.registration.reference, self.read_reference, _dense(outlook.nodes, side_px))
+            *self._sampled(
+                self.registration.reference, self.read_reference, _dense(outlook.nodes, (side_px, side_px))
+            )
         )
         col, row = outlook.centre_px.tolist()
         corrected = None if after is None else stretched(*after)
         return PairView(title, (col, row), outlook.shown_px, grey, stretched(*before), corrected)
 
-    def _clearest_edge(self, points: TiePointTable) -> Float64 | None:
-        """Return where, near the tie points, an edge makes the largest step; None if none does."""
+    def _clear_edges(self, points: TiePointTable) -> list[Float64]:
+        """Return where, near the tie points, edges make the largest steps, the largest first, all apart."""
         at_px = points.reference_px[
             thin(points.reference_px, np.hypot(*points.sigma_px.T), self.parameters.edges)
         ]
         steps = [self._step(self._outlook(place)) for place in at_px]
-        best = int(np.argmax([step for step, _ in steps]))
-        if not steps[best][0] > 0:
-            return None
-        return np.asarray(at_px[best] + steps[best][1] * self._side(at_px[best])[0])
+        edges: list[Float64] = []
+        for best in np.argsort([-step for step, _ in steps], kind="stable").tolist():
+            side_px = self._side(at_px[best])[0]
+            place = np.asarray(at_px[best] + steps[best][1] * side_px)
+            is_apart = all(np.abs(place - other).max() > side_px for other in edges)
+            if steps[best][0] > 0 and is_apart and len(edges) < self.parameters.places:
+                edges.append(place)
+        return edges
 
     def _step(self, outlook: _Outlook | None) -> tuple[float, Float64]:
         """Return the largest step of an edge before the correction, and where, in sides of the view.
@@ -234,8 +326,9 @@ class _Viewer:
             return 0.0, np.zeros(2)
         reference, target = self.registration.reference, self.registration.target
         places = (reference, self.read_reference, outlook.nodes), (target, self.read_target, outlook.observed)
+        samples = (self.parameters.samples, self.parameters.samples)
         one, other = (
-            _squared_gradient(stretched(*self._sampled(info, reader, _dense(nodes, self.parameters.samples))))
+            _squared_gradient(stretched(*self._sampled(info, reader, _dense(nodes, samples))))
             for info, reader, nodes in places
         )
         both = one * np.abs(other) + other * np.abs(one)
@@ -320,11 +413,11 @@ def _prediction(registration: Registration) -> Callable[[Float64], Float64]:
     return lambda at_px: map_px(at_px, reference.grid, target.grid)
 
 
-def _dense(nodes: Float64, count: int) -> Float64:
-    """Interpolate (n, n, 2) nodes linearly at `count` x `count` pixel centres."""
-    weights = _weights(count, len(nodes))
+def _dense(nodes: Float64, shape: tuple[int, int]) -> Float64:
+    """Interpolate (n, n, 2) nodes linearly at the pixel centres of (rows, cols)."""
+    down, along = (_weights(count, len(nodes)) for count in shape)
     axes = np.ascontiguousarray(np.moveaxis(nodes, -1, 0))  # otherwise no BLAS multiplies them
-    return np.moveaxis(np.stack([weights @ axis @ weights.T for axis in axes]), 0, -1)
+    return np.moveaxis(np.stack([down @ axis @ along.T for axis in axes]), 0, -1)
 
 
 @cache

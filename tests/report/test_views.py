@@ -14,7 +14,7 @@ from pcwlad_geo.correction.models import AffineCorrection, Correction, Projectiv
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import Patch, View, Window
 from pcwlad_geo.registration import Registration
-from pcwlad_geo.report.views import VIEWS, pair_views, read_backdrop, stretched
+from pcwlad_geo.report.views import VIEWS, pair_views, read_backdrop, red_cyan, stretched, whole_view
 from tests.registrations import SHIFT_PX, of_files
 from tests.scenes import write
 
@@ -45,7 +45,10 @@ def made(registration: Make, tmp_path: Path) -> Registration:
 def test_after_the_correction_both_show_the_same(made: Registration) -> None:
     """Contrast stretches differ by a grey value or two; a displacement of 1.3 px by far more."""
     views = pair_views(made)
-    assert [view.title for view in views] == [EDGE, "the largest residual"]
+    titles = [view.title for view in views]
+    assert titles[:2] == [EDGE, "the largest residual"]
+    assert 2 < len(titles) <= VIEWS.places
+    assert all(title.startswith("a clear edge, ") for title in titles[2:])
     for view in views:
         assert view.after is not None
         assert view.reference.shape == view.before.shape == view.after.shape == (VIEWS.side_px, VIEWS.side_px)
@@ -96,9 +99,38 @@ def test_the_target_lies_where_its_displacement_puts_it(made: Registration) -> N
     assert np.median(np.abs(view.before.astype(int) - view.reference)[inner]) > 5
 
 
+def test_the_whole_scene_shows_both_on_the_pixels_of_the_reference(made: Registration) -> None:
+    """Its side is above that of the scene, so that pixels are those of the file."""
+    whole = whole_view(made, replace(VIEWS, whole_side_px=1000))
+    assert whole is not None
+    assert whole.reference.shape == whole.edges.shape == whole.before.shape == made.reference.grid.shape
+    assert whole.after is not None
+    inner = np.s_[20:-20, 20:-20]
+    after = np.abs(whole.reference.astype(int) - whole.after)[inner]
+    before = np.abs(whole.reference.astype(int) - whole.before)[inner]
+    assert np.percentile(after, 95) <= 6
+    assert np.median(before) > 2 * np.median(after) + 2
+    assert set(np.unique(whole.edges)) == {0, 255}
+    both = red_cyan(whole.reference, whole.before)
+    np.testing.assert_array_equal(both[..., 0], whole.reference)
+    np.testing.assert_array_equal(both[..., 2], whole.before)
+
+
+def test_a_large_scene_is_shown_small_and_as_it_lies(made: Registration) -> None:
+    small = whole_view(made, replace(VIEWS, whole_side_px=100))
+    large = whole_view(made)
+    assert small is not None
+    assert large is not None
+    assert max(small.reference.shape) == 100
+    assert small.after is not None
+    inner = np.s_[8:-8, 8:-8]
+    assert np.median(np.abs(small.reference.astype(int) - small.after)[inner]) < 8
+
+
 def test_what_cannot_be_read_costs_the_views_only(registration: Make, made: Registration) -> None:
     assert pair_views(registration()) == []
     assert read_backdrop(registration().reference) is None
+    assert whole_view(registration()) is None
     assert pair_views(registration("rejected", n=0)) == []
     refused = replace(made, tie_points=made.tie_points[:0], model=None)
     assert [view.title for view in pair_views(refused)] == ["the middle"]

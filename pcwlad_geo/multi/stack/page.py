@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -28,7 +28,7 @@ from pcwlad_geo.report.answers import Answer, Headline, State
 from pcwlad_geo.report.maps import displacement_figure
 from pcwlad_geo.report.page_templates import page_environment
 from pcwlad_geo.report.time_lines import TimeLine, time_line_figure
-from pcwlad_geo.report.views import pair_views, read_backdrop
+from pcwlad_geo.report.views import VIEWS, pair_views, read_backdrop
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable, predict_px
 from pcwlad_geo.types import Float64
@@ -123,7 +123,8 @@ def stack_page(result: Stack, frame: StackFrame | None = None, layout: StackLayo
         ],
         states=STATES,
         worst_pair=worst_pair and (file_name(worst_pair.target.uri), file_name(worst_pair.reference.uri)),
-        views=[] if worst_pair is None else pair_views(worst_pair),
+        views=[] if worst_pair is None else pair_views(worst_pair, replace(VIEWS, places=2)),
+        whole=None,
         field=worst_pair
         and displacement_figure(
             worst_pair.tie_points, worst_pair.reference.grid.shape, read_backdrop(worst_pair.reference)

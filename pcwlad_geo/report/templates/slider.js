@@ -12,6 +12,11 @@ for (const box of document.querySelectorAll("input[data-checkered]")) {
     document.getElementById(box.dataset.checkered).classList.toggle("checkered", box.checked);
   });
 }
+for (const choice of document.querySelectorAll("input[name=whole]")) {
+  choice.addEventListener("change", () => {
+    document.getElementById("whole").className = "sheets " + choice.value;
+  });
+}
 window.addEventListener("beforeprint", () => {
   for (const closed of document.querySelectorAll("details")) closed.open = true;
 });
