@@ -138,10 +138,12 @@ def whole_view(registration: Registration, parameters: ViewParameters = VIEWS) -
     if seen is None:
         return None
 
+    known = np.where(seen[1], seen[0], 0.0).astype(np.float32)  # NaN would spread
+
     def placed(at_px: Float64) -> Picture:
         per_px = np.array(seen[0].shape[::-1]) / target.grid.shape[::-1]
         at = (_dense(at_px, (high, wide)) * per_px - 0.5).astype(np.float32)
-        values = cv2.remap(seen[0].astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+        values = cv2.remap(known, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
         valid = cv2.remap(seen[1].astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
         return stretched(values.astype(np.float64), valid > parameters.least_valid)
 

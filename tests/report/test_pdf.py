@@ -22,7 +22,7 @@ from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.page import compose, report_page
 from pcwlad_geo.report.pdf import check_pdf, to_pdf
 from pcwlad_geo.report.summary import summarise
-from pcwlad_geo.report.views import checkered
+from pcwlad_geo.report.views import VIEWS, checkered
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from tests.registrations import of_files, write_pair
 
@@ -68,7 +68,9 @@ def test_paper_has_checkerboards_for_sliders(registration: Make, tmp_path: Path)
     paper = paper_of(made)
     assert "<script" not in paper
     assert "<input" not in paper
-    assert paper.count("reference and target in alternate squares") == 4
+    assert paper.count("reference and target in alternate squares") == 2 * VIEWS.places
+    assert paper.count("reference in red, target in cyan") == 2
+    assert 'class="more"' not in paper
     report = summarise(made, [])
     screen = report_page(report, compose(made, report, None))
     assert "alternate squares" not in screen
