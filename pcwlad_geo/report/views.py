@@ -36,6 +36,8 @@ class ViewParameters:
     """Number of places that are shown."""
     whole_side_px: int = 460
     """Longer side of the view of the whole scene."""
+    most_whole: float = 4.0
+    """Longer side of the target as it is read for that view, in sides of the view."""
     edge_percentiles: tuple[float, float] = (80.0, 92.0)
     """Of the gradients of the whole scene: from where an edge goes on, and from where it begins."""
     shown_px: tuple[float, float] = (40.0, 400.0)
@@ -133,7 +135,11 @@ def whole_view(registration: Registration, parameters: ViewParameters = VIEWS) -
     if not np.isfinite(predicted).all():
         return None
     step_px = np.median(np.hypot(*np.moveaxis(np.diff(predicted, axis=1), -1, 0)))
-    target_factor = max(1.0, float(step_px) * (parameters.nodes - 1) / wide)
+    target_factor = max(
+        1.0,
+        float(step_px) * (parameters.nodes - 1) / wide,
+        max(target.grid.shape) / (parameters.most_whole * parameters.whole_side_px),
+    )
     seen = _reduced(target, target_factor)
     if seen is None:
         return None
