@@ -85,7 +85,7 @@ def _tile() -> list[Raster]:
         Raster("lonlat 0 to 360", LONLAT, at, 5_000.0, turns=1),
         Raster("UTM 13", "EPSG:32613", at, 5_000.0),
         Raster("3857", "EPSG:3857", at, 5_000.0),
-        Raster("LAEA", "EPSG:2163", at, 5_000.0),
+        Raster("LAEA", "+proj=laea +lat_0=45 +lon_0=-100 +datum=WGS84 +units=m +no_defs", at, 5_000.0),
         Raster("Equal Earth", "EPSG:8857", at, 5_000.0),
         Raster("sector -75", GEOSTATIONARY.format(-75), at, 5_000.0),
     ]

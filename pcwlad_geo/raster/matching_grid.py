@@ -258,7 +258,7 @@ def _plan_resampled(
     reference: RasterInfo, target: RasterInfo, common: shapely.Geometry, warnings: tuple[str, ...]
 ) -> ViewPair:
     """Plan for one of the two on its own pixels, the other resampled onto them."""
-    if _on_target_grid(reference.grid, target.grid, _typical_place(common, reference.grid, target.grid)):
+    if _on_target_grid(reference.grid, target.grid, common):
         box = window_of(common, reference.grid, target.grid)
         view = _resampled(reference, target.grid, box)
         overlap = box.clipped(target.grid.shape).moved(
@@ -272,31 +272,44 @@ def _plan_resampled(
     return ViewPair(_own(reference), view, offset, box.clipped(reference.grid.shape), warnings)
 
 
-def _on_target_grid(reference: Grid, target: Grid, at_px: Float64) -> bool:
-    """Return whether the grid of the target is the one to match on, judged at (1, 2) px of the reference.
+def _on_target_grid(reference: Grid, target: Grid, common: shapely.Geometry) -> bool:
+    """Return whether the grid of the target is the one to match on; `common` is a polygon in reference px.
 
     It is that of the coarser pixels. Of two in different CRSs that are about as coarse, it is that whose
     pixels have more alike sides on the ground where the other's map stretches or shears them.
     """
+    at_px = _typical_place(common, reference, target)
     step = float(np.sqrt(abs(np.linalg.det(jacobian(at_px, reference, target)[0]))))
     if reference.crs != target.crs and 1 / MATCHING_GRIDS.alike < step < MATCHING_GRIDS.alike:
-        reference_ratio, target_ratio = (
-            _longest_by_shortest(grid, px)
-            for grid, px in ((reference, at_px), (target, map_px(at_px, reference, target)))
+        everywhere_px = _places_in(common)
+        reference_log, target_log = (
+            np.log(_longest_by_shortest(grid, px))
+            for grid, px in (
+                (reference, everywhere_px),
+                (target, map_px(everywhere_px, reference, target)),
+            )
         )
-        if max(reference_ratio, target_ratio) > MATCHING_GRIDS.alike * min(reference_ratio, target_ratio):
-            return reference_ratio > target_ratio
+        finite = np.isfinite(reference_log) & np.isfinite(target_log)
+        excess = float((reference_log - target_log)[finite].mean()) if finite.any() else 0.0
+        if abs(excess) > np.log(MATCHING_GRIDS.alike):
+            return excess > 0
     return step < MATCHING_GRIDS.finer
 
 
-def _longest_by_shortest(grid: Grid, at_px: Float64) -> float:
-    """Return the ratio of the lengths on the ground of a pixel's longest and shortest directions, or NaN."""
-    xy = grid.to_xy(at_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
-    sides_m = displacement_m(xy[[0, 0]], xy[1:], grid.crs)
-    if not np.isfinite(sides_m).all():
-        return np.nan
-    longest, shortest = np.linalg.svd(sides_m, compute_uv=False)
-    return float(longest / max(shortest, 1e-12))
+def _longest_by_shortest(grid: Grid, at_px: Float64) -> Float64:
+    """Return the (n,) ratios of the lengths on the ground of a pixel's longest and shortest directions.
+
+    They are NaN where the grid is not defined; `at_px` is an (n, 2) array of (col, row).
+    """
+    corners_px = at_px[:, None] + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    xy = grid.to_xy(corners_px.reshape(-1, 2)).reshape(-1, 3, 2)
+    from_xy = np.repeat(xy[:, :1], 2, axis=1).reshape(-1, 2)
+    sides_m = displacement_m(from_xy, xy[:, 1:].reshape(-1, 2), grid.crs).reshape(-1, 2, 2)
+    ratios = np.full(len(at_px), np.nan)
+    finite = np.isfinite(sides_m).all(axis=(1, 2))
+    longest, shortest = np.linalg.svd(sides_m[finite], compute_uv=False).T
+    ratios[finite] = longest / np.maximum(shortest, 1e-12)
+    return ratios
 
 
 def _resampled(finer: RasterInfo, coarser: Grid, box: Window) -> View:
@@ -367,8 +380,7 @@ def _typical_place(common: shapely.Geometry, reference: Grid, target: Grid) -> F
 
     It is the middle of the common ground unless that is unlike the others, as a pole is.
     """
-    at_px = positions(*np.linspace(*bounds_of(common), 9).T)
-    at_px = np.concatenate([_centre(common), at_px[shapely.contains_xy(common, at_px)]])
+    at_px = _places_in(common)
     steps = jacobian(at_px, reference, target)
     finite = np.isfinite(steps).all(axis=(1, 2))
     sizes = np.full((len(at_px), 2), np.inf)
@@ -376,6 +388,12 @@ def _typical_place(common: shapely.Geometry, reference: Grid, target: Grid) -> F
         sizes[finite] = np.log(np.linalg.svd(steps[finite], compute_uv=False))
     unlike = np.abs(sizes - np.median(sizes[finite], axis=0)).max(axis=1) if finite.any() else np.zeros(1)
     return at_px[[0 if unlike[0] <= np.log(MATCHING_GRIDS.alike) else int(np.nanargmin(unlike))]]
+
+
+def _places_in(common: shapely.Geometry) -> Float64:
+    """Return (n, 2) places (col, row) all over a polygon, its middle first."""
+    at_px = positions(*np.linspace(*bounds_of(common), 9).T)
+    return np.concatenate([_centre(common), at_px[shapely.contains_xy(common, at_px)]])
 
 
 def _centre(polygon: shapely.Geometry) -> Float64:

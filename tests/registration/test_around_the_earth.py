@@ -50,6 +50,16 @@ def test_a_full_disk_over_the_earth(tmp_path: Path) -> None:
     assert np.abs(off_px(*paths)).max() < RIGHT_PX
 
 
+@pytest.mark.parametrize("sign", ["north", "south"])
+def test_degrees_at_a_pole_are_matched_on_the_map_of_the_pole(sign: str, tmp_path: Path) -> None:
+    """A constant displacement on the ground is none in degrees, where the meridians meet."""
+    rasters = {raster.name: raster for raster in SCENES[f"{sign} pole, 25 km"]}
+    paths = rasters["lonlat"].write(tmp_path), rasters["stereographic"].write(tmp_path, SHIFT_PX)
+    views = plan_views(*map(describe, paths))
+    assert views.reference.grid.crs == views.target.info.grid.crs
+    assert np.abs(off_px(*paths)).max() < 0.02
+
+
 def _values(path: Path) -> tuple[rasterio.Affine, CRS, np.ndarray]:
     with rasterio.open(path) as file:
         return file.transform, file.crs, file.read(1, masked=True)
