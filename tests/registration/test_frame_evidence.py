@@ -104,6 +104,47 @@ def test_frames_of_ground_that_has_moved_by_few_pixels_are_refused(tmp_path: Pat
     assert "ground that has moved by about (+2, -" in str(result.reason)
 
 
+@pytest.mark.parametrize("moved_px", [None, (2.3, -1.6)])
+def test_ground_too_faint_to_be_seen_under_the_pattern_is_not_told(
+    tmp_path: Path, moved_px: tuple[float, float] | None
+) -> None:
+    """Of a twentieth of its contrast, the ground is weaker than the pattern at all wavelengths."""
+    other = faint(1, (0, 0), 1, 0.05) if moved_px is None else faint(0, moved_px, 1, 0.05)
+    seen = evidence(tmp_path, faint(0, contrast=0.05), other)
+    assert seen is not None
+    assert seen.is_frame
+    assert "from pixel to pixel" in str(seen.doubt)
+
+
+def test_dead_pixels_over_other_ground_are_no_evidence_of_the_ground(tmp_path: Path) -> None:
+    dead = np.random.default_rng(3).random(SHAPE) < 0.01
+    frames = [np.where(dead, 0, faint(n, noise_seed=n) - PATTERN) for n in range(2)]
+    seen = evidence(tmp_path, *frames)
+    assert seen is not None
+    assert seen.is_frame
+
+
+@pytest.mark.parametrize("down_px", [-1.0, -21.0])
+def test_dead_columns_place_no_ground_along_themselves(tmp_path: Path, down_px: float) -> None:
+    """All points lie on the same columns, wherever along them; ground that has moved so is told."""
+    dead = np.random.default_rng(3).choice(SHAPE[1], 12, replace=False)
+    scatter_px = np.random.default_rng(4).normal(0, 1, len(POINTS))
+    displacement_px = np.stack([0 * scatter_px, down_px + scatter_px], axis=1)
+
+    def seen(seed: int, moved_px: tuple[float, float]) -> FrameEvidence | None:
+        frames = [faint(0) - PATTERN, faint(seed, moved_px, 1) - PATTERN]
+        for values in frames:
+            values[:, dead] = 20
+        infos = [describe(frame(tmp_path / f"{n}.tif", values)) for n, values in enumerate(frames)]
+        return frame_evidence(*infos, POINTS, POINTS + displacement_px)
+
+    other_ground = seen(1, (0, 0))
+    assert other_ground is not None
+    assert other_ground.is_frame
+    assert "whole columns or rows" in str(other_ground.doubt)
+    assert seen(0, (0, down_px)) is None
+
+
 def test_ground_that_repeats_is_no_rival(tmp_path: Path) -> None:
     rows = 20 * np.sign(np.sin(np.arange(SHAPE[0]) * 2 * np.pi / 16))[:, None]
     found = evidence(tmp_path, 0.5 * ground(0) + 60 + rows, 0.5 * ground(0) + 60 - 0.7 * rows)

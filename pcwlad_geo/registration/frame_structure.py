@@ -1,0 +1,366 @@
+"""What two images of one size share on the same pixels: patterns, specks, lines, and ground beside them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from pcwlad_geo.types import Bool, Float32, Float64
+
+
+@dataclass(frozen=True, slots=True)
+class SpeckParameters:
+    """How specks are found that lie on the same pixels of both frames: dust, drops, dead pixels, ships."""
+
+    outlying: float = 3.0
+    """Least deviation of a pixel from its surroundings in both images, to the same side, robust sigmas."""
+    surroundings_px: float = 12.0
+    """Standard deviation of the filter that gives the surroundings."""
+    grow_px: int = 3
+    """By how much specks are grown, for their blurred edges."""
+    largest_px: int = 40
+    """Largest extent of a speck; larger ones are ground, such as an island."""
+    most: float = 0.2
+    """Largest share of the image that is specks; beyond it, it is texture."""
+    fill_px: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
+    """Standard deviations of the filters that fill specks from around them, in turn."""
+    structured: float = 2.0
+    """Least ratio of the structure to that of white noise from which the rest of an image can tell: 1.3 of
+    noise, 9 and more of ground, however faint."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameParameters:
+    """How the ground is told from what belongs to the frame."""
+
+    identity_px: float = 0.06
+    """Largest median distance of tie points from the same pixel of the other file, per axis."""
+    scatter_px: float = 0.3
+    """Distance within which most of them lie there: what stands still agrees far better than bands do."""
+    pulled_px: float = 0.6
+    """The largest such distances where ground that has moved draws the points: there it must be seen."""
+    most: float = 0.7
+    """Share of the points that are most."""
+    largest_px: int = 800
+    """Largest side of the part that is read, in the middle of large files."""
+    smooth_px: float = 2.5
+    """Standard deviation of the filter that takes out the pattern of single pixels."""
+    window_px: int = 81
+    """Side of the places that are asked; of small frames without georeferencing a quarter of theirs."""
+    smallest_window_px: int = 41
+    """Least such side."""
+    reach_px: int = 12
+    """Largest displacement that is compared with none, along both axes."""
+    step_px: int = 3
+    """Distance of these displacements; a neighbour of none counts as none, so that 11 % agree by chance."""
+    structured: float = 0.4
+    """Share of the places, those with most structure in either image, that are asked."""
+    min_places: int = 8
+    """Least number of such places that tell."""
+    ground_share: float = 0.55
+    """Share of these places that agree at no displacement from which the ground does: 0.6 to 1 of bands and
+    dates that truly lie so."""
+    frame_share: float = 0.45
+    """Share below which it does not: 0.11 of two frames of a thermal camera in flight, at most 0.4 of other
+    ground under a fixed pattern."""
+    common_grey: float = 0.1
+    """Least correlation of the grey values of frames that share a pattern: 0.54 of the two thermal ones, at
+    most 0.03 of 30 maps over images of the same ground, of which the share says nothing."""
+    finest_px: float = 4.0
+    """Wavelength of the finest structure in which ground that has moved is sought."""
+    coarsest_px: float = 50.0
+    """Wavelength of the coarsest one."""
+    rival_z: float = 25.0
+    """Least significance of another displacement of the ground, in standard deviations of the cepstrum: 48 to
+    190 of ground that has moved, 44 at most of bands in place."""
+    rival_ratio: float = 2.5
+    """Least ratio of this to the significance in the images' own cepstra: 4 and more of ground that has
+    moved, at most 1.6 of bands in place."""
+    same_correlation: float = 0.95
+    """Correlation of both images in these wavelengths from which their difference holds no ground."""
+    rival_min_px: int = 5
+    """Least displacement that is distinguished from none so, and largest one of points that are asked."""
+    fine_z: float = 8.0
+    """Least correlation of the finest structure at no displacement, times the root of the number of pixels,
+    of frames with a common pattern: 10 and more."""
+    near_z: float = 6.0
+    """Least peak of the smoothed structure, standard deviations of its correlation: 6.6 and more of ground
+    that has moved by 1 to 5 px; at most 3.5 of other ground."""
+    near_ratio: float = 1.2
+    """Least ratio of this peak to the value at no displacement: 1.24 and more of ground that has moved by
+    1.7 px, at most 1.08 of bands in place."""
+    pixel_noise_px: float = 2.6
+    """Longest wavelength at which nothing but what belongs to single pixels is as strong as longer waves."""
+    pixel_coherence: float = 0.2
+    """Least coherence of both images there of a pattern of single pixels: 0.46 and more."""
+    ground_by_pixel: float = 3.0
+    """Least ratio of the cross spectrum of longer waves to that there from which ground shows beside the
+    pattern: at most 2.5 where the ground cannot be seen, 19 and more of bands without a pattern."""
+    drawn_share: float = 0.75
+    """Largest part of the way from no displacement to this peak at which tie points are drawn back."""
+    specks: SpeckParameters = field(default_factory=SpeckParameters)
+    """Those of specks."""
+
+
+class Frames(NamedTuple):
+    """Two images of one size that lie on the same pixels."""
+
+    one: Float32
+    """(rows, cols) grey values, the invalid ones as the median."""
+    other: Float32
+    """(rows, cols) grey values of the other image."""
+    valid: Bool
+    """(rows, cols) pixels that count in both."""
+
+
+def _band(values: Float32, smooth_px: float) -> Float32:
+    """Return values without pattern of single pixels, shading, and what whole rows or columns have."""
+    band = cv2.GaussianBlur(values, (0, 0), smooth_px) - cv2.GaussianBlur(values, (0, 0), 3 * smooth_px)
+    band -= np.median(band, axis=0)
+    band -= np.median(band, axis=1)[:, None]
+    return np.asarray(band, np.float32)
+
+
+def _structure(values: Float32, valid: Bool, parameters: FrameParameters) -> Float32:
+    """Return the (2, rows, cols) orientation of slopes at twice its angle, times their size."""
+    band = _band(values, parameters.smooth_px)
+    x, y = cv2.Sobel(band, cv2.CV_32F, 1, 0), cv2.Sobel(band, cv2.CV_32F, 0, 1)
+    inner = cv2.erode(valid.astype(np.uint8), np.ones((2 * round(3 * parameters.smooth_px) + 1,) * 2)) > 0
+    return np.asarray(np.stack([x * x - y * y, 2 * x * y]) * (inner / (np.hypot(x, y) + 1e-12)), np.float32)
+
+
+def share_at(at_px: Float64, frames: Frames, window: int, parameters: FrameParameters) -> float | None:
+    """Return the share of the places with structure that fit best at the (2,) displacement `at_px`."""
+    one, other, valid = frames
+    first, second = _structure(one, valid, parameters), _structure(other, valid, parameters)
+    col_px, row_px = np.rint(at_px).astype(int).tolist()
+    second = np.roll(second, (-row_px, -col_px), axis=(1, 2))
+    reach, step = parameters.reach_px, parameters.step_px
+    (rows, cols), margin = one.shape, window // 2 + reach
+    at = np.s_[margin : rows - margin : window // 2, margin : cols - margin : window // 2]
+
+    def sums(product: Float32) -> Float32:
+        return np.asarray(cv2.boxFilter(product, -1, (window, window), normalize=False)[at])
+
+    power = sums((first**2).sum(axis=0)), (second**2).sum(axis=0)
+    scores, offsets = [], range(-reach, reach + 1, step)
+    for row, col in ((row, col) for row in offsets for col in offsets):
+        shifted = np.roll(second, (-row, -col), axis=(1, 2))
+        energy = sums(np.roll(power[1], (-row, -col), axis=(0, 1)))
+        scores.append(sums((first * shifted).sum(axis=0)) / np.sqrt(np.maximum(energy, 1e-20)))
+    best = np.argmax(scores, axis=0)
+    middle, side = len(offsets) // 2, len(offsets)
+    at_none = np.maximum(abs(best // side - middle), abs(best % side - middle)) <= 1
+    return _share_of_structured(np.asarray(at_none), (power[0], sums(power[1])), parameters)
+
+
+def share_without_specks(frames: Frames, window: int, parameters: FrameParameters) -> float | None:
+    """Return the share of places that agree without specks that both have; None if it tells nothing.
+
+    Dust on a sensor or a window multiplies both frames by the same at the same pixels. Where all that agrees
+    lies there, the ground does not.
+    """
+    one, other, valid = frames
+    specks = _specks(one, other, valid, parameters)
+    if not 0 < specks.mean() <= parameters.specks.most:
+        return None
+    filled = [_filled(values, specks, parameters) for values in (one, other)]
+    if (
+        min(_structure_by_noise(values, valid & ~specks, parameters) for values in filled)
+        < parameters.specks.structured
+    ):
+        return None
+    return share_at(np.zeros(2), Frames(filled[0], filled[1], valid & ~specks), window, parameters)
+
+
+def _specks(one: Float32, other: Float32, valid: Bool, parameters: FrameParameters) -> Bool:
+    """Return the pixels of small specks that are much brighter, or much darker, in both images."""
+    first, second = (_outlying(values, valid, parameters) for values in (one, other))
+    outliers = (np.minimum(first, second) > parameters.specks.outlying) | (
+        np.maximum(first, second) < -parameters.specks.outlying
+    )
+    kernel = np.ones((2 * parameters.specks.grow_px + 1,) * 2)
+    grown = cv2.dilate((outliers & valid).astype(np.uint8), kernel)
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(grown)
+    small = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= parameters.specks.largest_px
+    return np.asarray(small[labels] & (labels > 0))
+
+
+def _outlying(values: Float32, valid: Bool, parameters: FrameParameters) -> Float32:
+    """Return the deviations of pixels from their surroundings, robust sigmas."""
+    away = cv2.GaussianBlur(
+        values - cv2.GaussianBlur(values, (0, 0), parameters.specks.surroundings_px), (0, 0), 1.0
+    )
+    middle = np.median(away[valid])
+    sigma = 1.4826 * float(np.median(np.abs(away[valid] - middle)))
+    return np.asarray((away - middle) / max(sigma, 1e-6), np.float32)
+
+
+def _filled(values: Float32, holes: Bool, parameters: FrameParameters) -> Float32:
+    """Return values with holes filled smoothly from around them."""
+    filled, filled_pixels = values.copy(), np.asarray(~holes)
+    weight = filled_pixels.astype(np.float32)
+    for sigma_px in parameters.specks.fill_px:
+        around = cv2.GaussianBlur(values * weight, (0, 0), sigma_px)
+        reached = cv2.GaussianBlur(weight, (0, 0), sigma_px)
+        new = ~filled_pixels & np.asarray(reached > 0.05)
+        filled[new] = around[new] / reached[new]
+        filled_pixels |= new
+    return filled
+
+
+def _structure_by_noise(values: Float32, valid: Bool, parameters: FrameParameters) -> float:
+    """Return the ratio of the structure to that of white noise as strong as the finest differences."""
+    fine = values - cv2.blur(values, (3, 3))
+    inner, outer = parameters.smooth_px, 3 * parameters.smooth_px
+    passed = (1 / inner**2 + 1 / outer**2 - 4 / (inner**2 + outer**2)) / (4 * np.pi)  # of its variance
+    structure, noise = (float(np.median(np.abs(image[valid]))) for image in (_band(values, inner), fine))
+    return float(structure / max(noise * np.sqrt(9 / 8 * passed), 1e-12))
+
+
+def _share_of_structured(
+    at_none: Bool, powers: Sequence[Float32], parameters: FrameParameters
+) -> float | None:
+    """Return the share of places that agree, of those with most structure in either image."""
+    positive = np.logical_and.reduce([power > 0 for power in powers])
+    if np.count_nonzero(positive) * parameters.structured < parameters.min_places:
+        return None
+    relative = np.max([power[positive] / np.median(power[positive]) for power in powers], axis=0)
+    selection = relative >= np.quantile(relative, 1 - parameters.structured)
+    return float(at_none[positive][selection].mean())
+
+
+def rival(frames: Frames, parameters: FrameParameters) -> tuple[float, float] | None:
+    """Return the displacement of ground that has moved, from the difference of both, if there is any.
+
+    What stands still cancels in the difference. Ground that has moved by d is in it twice, with opposite
+    signs, so that its power is multiplied by 2 - 2 cos(2πfd) at the frequency f: its cepstrum has a negative
+    peak at d. The images' own cepstra show whether the ground only repeats.
+    """
+    one, other, valid = frames
+    rows, cols = one.shape
+    taper = np.hanning(rows)[:, None] * np.hanning(cols)
+    first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
+    row, col = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(cols)
+    radius = np.hypot(row, col)
+    band = (radius < 1 / parameters.finest_px) & (radius > 1 / parameters.coarsest_px)
+    band &= (np.abs(row) > 2 / rows) & (np.abs(col) > 2 / cols)  # rows and columns that stand out
+    crossed = np.conj(first) * second * band
+    correlation = crossed.real.sum() / max(
+        np.linalg.norm(first * band) * np.linalg.norm(second * band), 1e-12
+    )
+    if abs(correlation) > parameters.same_correlation:
+        return None
+    sign = 1.0 if correlation >= 0 else -1.0
+    peaks = _cepstrum(first - sign * second, band)
+    distant = np.maximum(np.abs(row * rows), np.abs(col * cols)) >= parameters.rival_min_px
+    at = np.unravel_index(np.argmax(np.where(distant, peaks, 0)), peaks.shape)
+    cepstra = peaks, _cepstrum(first, band), _cepstrum(second, band)
+    depth, *own_depths = (
+        float(cepstrum[at] / (1.4826 * np.median(np.abs(cepstrum[distant])))) for cepstrum in cepstra
+    )
+    if depth < max(parameters.rival_z, parameters.rival_ratio * max(own_depths)):
+        return None
+    phase = np.fft.ifft2(sign * crossed / (np.abs(crossed) + 1e-12)).real
+    both = [(int(at[0]), int(at[1])), (-int(at[0]) % rows, -int(at[1]) % cols)]
+    down, right = max(both, key=lambda place: phase[place])
+    return float(right - cols * (2 * right > cols)), float(down - rows * (2 * down > rows))
+
+
+def near_rival(frames: Frames, middle_px: Float64, parameters: FrameParameters) -> tuple[float, float] | None:
+    """Return a displacement of the ground too small for the cepstrum, if points at (2,) `middle_px` miss it.
+
+    A pattern of single pixels shows in the finest structure, which correlates best at no displacement.
+    Smoothing takes most of it out, and what whole rows and columns have. The rest correlates where the
+    ground lies.
+    """
+    one, other, valid = frames
+    if not valid.any() or not _has_common_pattern(one, other, valid, parameters.fine_z):
+        return None
+    first, second = (scipy.fft.rfft2(_structure(values, valid, parameters)) for values in (one, other))
+    surface = scipy.fft.irfft2((np.conj(first) * second).sum(axis=0), one.shape)
+    reach = parameters.reach_px
+    window = np.roll(surface, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    row, col = np.unravel_index(int(window.argmax()), window.shape)
+    least = max(parameters.near_z * surface.std(), parameters.near_ratio * surface[0, 0])
+    ground_px = np.array([col, row], np.float64) - reach
+    is_drawn = ground_px @ middle_px < parameters.drawn_share * (ground_px @ ground_px)
+    if window[row, col] < least or not is_drawn:
+        return None
+    return float(ground_px[0]), float(ground_px[1])
+
+
+def is_of_single_pixels(frames: Frames, parameters: FrameParameters) -> bool:
+    """Return whether all that both images share is as strong in single pixels as in longer waves.
+
+    Ground never is: its spectrum falls by two orders of magnitude between waves of 10 and of 2 px.
+    """
+    one, other, valid = frames
+    rows, cols = one.shape
+    taper = np.hanning(rows)[:, None] * np.hanning(cols)
+    first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
+    row, col = np.abs(np.fft.fftfreq(rows))[:, None], np.abs(np.fft.fftfreq(cols))
+    radius, crossed = np.hypot(row, col), (np.conj(first) * second).real
+    inner = (row > 2 / rows) & (col > 2 / cols)  # rows and columns that stand out
+    fine = inner & (radius > 1 / parameters.pixel_noise_px) & (radius <= 0.5)
+    power = float(np.linalg.norm(first[fine]) * np.linalg.norm(second[fine]))
+    if crossed[fine].sum() < parameters.pixel_coherence * max(power, 1e-12):
+        return False
+    longest_px = 8.0 * np.array([1.0, 2.0, 4.0])
+    octaves = [
+        inner & (radius > 1 / coarse) & (radius <= 1 / finer)
+        for finer, coarse in itertools.pairwise(longest_px)
+    ]
+    least = parameters.ground_by_pixel * float(crossed[fine].mean())
+    return all(abs(float(crossed[octave].mean())) < least for octave in octaves if octave.any())
+
+
+def _has_common_pattern(one: Float32, other: Float32, valid: Bool, least_z: float) -> bool:
+    """Return whether the finest structure of both correlates best at no displacement."""
+    fine = [np.clip(_finest(values, valid), -4, 4) for values in (one, other)]
+    inner = np.s_[1:-1, 1:-1]
+    offsets = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1)]
+    products = [float((fine[0] * np.roll(fine[1], offset, axis=(0, 1)))[inner].sum()) for offset in offsets]
+    power = np.linalg.norm(fine[0]) * np.linalg.norm(fine[1])
+    at_none = products.pop(len(offsets) // 2)
+    least = least_z / max(int(np.count_nonzero(valid)), 1) ** 0.5 * float(power)
+    return bool(at_none > max(least, *products))
+
+
+def _finest(values: Float32, valid: Bool) -> Float32:
+    """Return the finest structure of an image, robust standard deviations."""
+    fine = (values - cv2.GaussianBlur(values, (0, 0), 1)) * valid
+    return np.asarray(fine / max(1.4826 * float(np.median(np.abs(fine[valid]))), 1e-9), np.float32)
+
+
+def common_grey(frames: Frames) -> float:
+    """Return the correlation of the grey values without shading, or of their finest structure if higher."""
+    one, other, valid = frames
+    pairs = (
+        tuple(_flattened(values, valid)[valid] for values in (one, other)),
+        tuple((values - cv2.GaussianBlur(values, (0, 0), 1))[valid] for values in (one, other)),
+    )
+    return max(float(np.corrcoef(*pair)[0, 1]) for pair in pairs)
+
+
+def _flattened(values: Float32, valid: Bool) -> Float64:
+    """Return values without shading and what whole rows or columns have, in standard deviations."""
+    flat = values - cv2.GaussianBlur(values, (0, 0), 12)
+    flat -= np.median(flat, axis=0)
+    flat -= np.median(flat, axis=1)[:, None]
+    flat *= valid
+    return np.asarray(np.clip(flat / max(float(flat.std()), 1e-12), -4, 4), np.float64)
+
+
+def _cepstrum(spectrum: NDArray[np.complex128], band: Bool) -> Float64:
+    """Return the (rows, cols) cepstrum of a spectrum in the frequencies that are `band`, its sign turned."""
+    power = np.abs(spectrum) ** 2
+    log = np.log(power + 1e-9 * power.max() + 1e-300)
+    return np.asarray(-np.fft.ifft2(np.where(band, log - log[band].mean(), 0)).real)
