@@ -135,8 +135,7 @@ class WrittenPair:
     def accepted(self) -> Registration:
         """Return the registration; raises `RequirementError` if it does not meet a requirement."""
         if self.registration.passed is False:
-            missed = "; ".join(result.text for result in self.registration.requirements if not result.met)
-            message = f"{missed} (report: {self.page})"
+            message = f"{self.registration.missed} (report: {self.page})"
             raise RequirementError(message, self.registration, self.folder)
         return self.registration
 
@@ -211,13 +210,7 @@ def register(
     }
     names, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
     written = write_pair(
-        "register",
-        names,
-        settings,
-        places,
-        overwrite=overwrite,
-        on_event=on_event,
-        executor=executor,
+        "register", names, settings, places, overwrite=overwrite, on_event=on_event, executor=executor
     )
     return written.accepted()
 
@@ -322,6 +315,13 @@ def open_job_runner(
     return open_runner(executor, on_event, jobs=settings.jobs, scheduler=settings.scheduler)
 
 
+def open_pair_runner(
+    settings: Settings, executor: Executor | Runner | None, on_event: EventCallback
+) -> AbstractContextManager[Runner]:
+    """Open what runs the tiles of a pair: points of a file leave workers nothing to do."""
+    return open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event)
+
+
 def write_pair(
     command: Command,
     names: tuple[str, str],
@@ -423,8 +423,7 @@ def _check_outputs(job: PairJob) -> None:
 def _run(job: PairJob, executor: Executor | Runner | None, on_event: EventCallback) -> Registration:
     """Run a job where its settings say, or on the executor of the caller."""
     settings = job.settings
-    # points of a file leave workers nothing to do
-    with open_job_runner(settings, InThisProcess() if settings.tie_points else executor, on_event) as runner:
+    with open_pair_runner(settings, executor, on_event) as runner:
         from pcwlad_geo.registration import register_inputs  # slow to load
 
         return register_inputs(

@@ -9,7 +9,7 @@ from typing import Any, Final
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.job import open_job_runner
+from pcwlad_geo.job import open_pair_runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import check_unchanged, trusting
 from pcwlad_geo.raster.arrays import RasterLike
@@ -68,9 +68,7 @@ def matched(
     for name in OF_THE_FOLDER:
         if getattr(settings, name) != getattr(default, name):
             raise SettingsError(f"{name} is about a whole job: give it to register")
-    # points of a file leave workers nothing to do
-    tile_executor = InThisProcess() if settings.tie_points else executor
-    with trusting(settings.trust), open_job_runner(settings, tile_executor, on_event) as runner:
+    with trusting(settings.trust), open_pair_runner(settings, executor, on_event) as runner:
         pair = prepared(names, settings, scratch, on_event)
         matches = match_pair(pair, runner, on_event=on_event)
         check_unchanged(file.identity for file in pair.inputs)

@@ -13,8 +13,8 @@ from pcwlad_geo import registration as inner
 from pcwlad_geo.arguments import checked
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback, ignore
-from pcwlad_geo.execution.runner import InThisProcess, Runner
-from pcwlad_geo.job import open_job_runner
+from pcwlad_geo.execution.runner import Runner
+from pcwlad_geo.job import open_pair_runner
 from pcwlad_geo.objects.correction import Correction
 from pcwlad_geo.objects.files import parts_of
 from pcwlad_geo.objects.pairs import matched, prepared, resolved
@@ -311,8 +311,7 @@ def _in_memory(
 ) -> Registration:
     """Register a pair without writing; see `register`."""
     requirements = parse_requirements(settings.require, "register")
-    runner_of = InThisProcess() if settings.tie_points else executor
-    with trusting(settings.trust), open_job_runner(settings, runner_of, on_event) as runner:
+    with trusting(settings.trust), open_pair_runner(settings, executor, on_event) as runner:
         if settings.prove == "off":
             matches = match_pair(prepared(names, settings, scratch, on_event), runner, on_event=on_event)
             fitted = fit_pair(matches, on_event=on_event) if matches.accepted else None
@@ -326,8 +325,7 @@ def _in_memory(
     if result.status == "rejected":
         raise RegistrationRejectedError(str(result.reason), registration)
     if result.passed is False:
-        missed = "; ".join(requirement.text for requirement in judged if not requirement.met)
-        raise RequirementError(missed, registration)
+        raise RequirementError(result.missed, registration)
     return registration
 
 

@@ -313,6 +313,11 @@ class Registration(Shown):
         return self.decision.requirements
 
     @property
+    def missed(self) -> str:
+        """The requirements that are not met, as a text."""
+        return "; ".join(result.text for result in self.requirements if not result.met)
+
+    @property
     def passed(self) -> bool | None:
         """Whether all requirements are met; None where nothing was required."""
         return self.decision.passed
