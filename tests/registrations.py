@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import rasterio
 from affine import Affine
@@ -93,9 +94,10 @@ def without_crs(made: Registration) -> Registration:
 
 
 def write_pair(folder: Path, *, georeferenced: bool = True) -> tuple[Path, Path]:
-    """Write a reference `b4.tif` and a target `b10.tif`, 400 x 600, uint16, nodata 0."""
+    """Write a reference `b4.tif` and a target `b10.tif` of the same ground, 400 x 600, uint16, nodata 0."""
     where = {"crs": "EPSG:32633", "transform": Affine(30, 0, 500000, 0, -30, 4600000)}
-    pixels = np.random.default_rng(3).integers(1, 60000, (400, 600)).astype(np.uint16)
+    ground = cv2.GaussianBlur(np.random.default_rng(3).standard_normal((400, 600)), (0, 0), 2)
+    pixels = (np.clip(ground / ground.std() / 8 + 0.5, 0, 1) * 60000 + 1).astype(np.uint16)
     paths = folder / "b4.tif", folder / "b10.tif"
     for path in paths:
         with warnings.catch_warnings():
