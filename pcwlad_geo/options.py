@@ -366,7 +366,7 @@ class Settings:
     write_proj_grid: bool = option(
         False, "Write the correction as a grid of offsets that PROJ takes too.", _REGISTER
     )
-    """Moves any layer that was drawn on the target, by ``gdalwarp -ct``, ``ogr2ogr -ct``, ``cct`` or QGIS."""
+    """Moves any layer that was drawn on the target, by ``gdalwarp -ct``, ``ogr2ogr -ct`` or ``cct``."""
     write_placed: bool = option(
         False, "Write the target as --place puts it too, also where the pair is refused.", _WRITING
     )

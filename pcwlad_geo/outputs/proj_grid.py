@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pyproj
 import rasterio
 from affine import Affine
 from rasterio.crs import CRS
@@ -22,6 +23,8 @@ DEGREE_BANDS: Final = ("latitude_offset", "longitude_offset")
 """Names that PROJ knows for the bands of a grid in degrees; latitudes come first."""
 MAP_BANDS: Final = ("easting_offset", "northing_offset")
 """Those of a grid in the units of a projected CRS."""
+AXIS_SWAP: Final = "+proj=axisswap +order=2,1"
+"""The step that swaps east and north."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +53,9 @@ def write_proj_grid(
 
     The inverse grid, from where a place belongs to where the target draws it, serves to warp rasters. PROJ
     would find it from the first one by iteration, which fails for a pixel in a thousand of a projected CRS
-    (seen with PROJ 9.5 and 9.7). A grid is laid north up over the target. Its nodes are so near that PROJ's
-    bilinear interpolation is right to a hundredth of a pixel. Raises `InputError` if the target has no CRS.
+    (seen with PROJ 9.5, 9.7 and 9.9). A grid is laid north up over the target. Its nodes are so near that
+    PROJ's bilinear interpolation is right to a hundredth of a pixel. Raises `InputError` if the target has
+    no CRS.
     """
     if target.crs is None:
         raise InputError("--write-proj-grid: the target has no CRS, and PROJ moves map coordinates only")
@@ -68,20 +72,37 @@ def write_proj_grid(
         if spacing_px <= parameters.narrowest_px or np.nanmax(error, initial=0.0) <= parameters.tolerance_px:
             break
         spacing_px /= 2
-    pipeline = proj_pipeline(path.name, target.crs, is_inverse=is_inverse)
-    _write(path, np.nan_to_num(values), place, target.crs, pipeline)
+    pipelines = {
+        tag: proj_pipeline(path.name, target.crs, is_inverse=is_inverse, is_for_gdal=is_for_gdal)
+        for tag, is_for_gdal in (("pipeline", False), ("gdal_pipeline", True))
+    }
+    _write(path, np.nan_to_num(values), place, target.crs, pipelines)
 
 
-def proj_pipeline(path: str, crs: CRS, *, is_inverse: bool = False) -> str:
-    """Return the PROJ pipeline that corrects map coordinates of a CRS by a grid, or an inverse grid."""
+def proj_pipeline(path: str, crs: CRS, *, is_inverse: bool = False, is_for_gdal: bool = False) -> str:
+    """Return the PROJ pipeline that corrects map coordinates of a CRS by a grid, or an inverse grid.
+
+    It takes east first. GDAL (``gdalwarp -ct``, ``ogr2ogr -ct``) hands coordinates over in the order of the
+    CRS's axes, which is north first for EPSG:4326 and for some projected CRSs.
+    """
     grids = f'+grids="{path}"' if " " in path else f"+grids={path}"
-    step = "+step +inv" if is_inverse else "+step"
-    if not crs.is_geographic:
-        return f"+proj=pipeline {step} +proj=gridshift {grids}"
-    return (
-        f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad {step} +proj=hgridshift {grids} "
-        "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
-    )
+    inverse = "+inv " if is_inverse else ""
+    steps = [f"{inverse}+proj=gridshift {grids}"]
+    if crs.is_geographic:
+        to_rad, to_deg = (
+            f"+proj=unitconvert +xy_in={a} +xy_out={b}" for a, b in (("deg", "rad"), ("rad", "deg"))
+        )
+        steps = [to_rad, f"{inverse}+proj=hgridshift {grids}", to_deg]
+    if is_for_gdal and _gdal_swaps_axes(crs):
+        steps = [AXIS_SWAP, *steps, AXIS_SWAP]
+    return " ".join(["+proj=pipeline", *(f"+step {step}" for step in steps)])
+
+
+def _gdal_swaps_axes(crs: CRS) -> bool:
+    """Return whether GDAL puts north first: for CRSs of EPSG only, and not where both axes point north."""
+    described = pyproj.CRS.from_wkt(crs.to_wkt())
+    directions = [axis.direction for axis in described.axis_info[:2]]
+    return described.to_authority("EPSG") is not None and directions == ["north", "east"]
 
 
 def _pixel_size(grid: Grid) -> Float64:
@@ -116,7 +137,7 @@ def _offsets(move: Callable[[Float64], Float64], target: Grid, xy: Float64) -> F
     return target.to_xy(move(target.to_px(xy))) - xy
 
 
-def _write(path: Path, values: Float64, place: Affine, crs: CRS, pipeline: str) -> None:
+def _write(path: Path, values: Float64, place: Affine, crs: CRS, pipelines: dict[str, str]) -> None:
     names, unit, bands = MAP_BANDS, "metre", values
     if crs.is_geographic:
         names, unit, bands = DEGREE_BANDS, "degree", values[..., ::-1]
@@ -138,8 +159,7 @@ def _write(path: Path, values: Float64, place: Affine, crs: CRS, pipeline: str) 
         "TYPE": "HORIZONTAL_OFFSET",
         "TIFFTAG_IMAGEDESCRIPTION": "Correction of a raster: from where it draws a place to where it belongs",
         "area_of_use": "The raster that was registered, and its surroundings",
-        "pipeline": pipeline,
-    }
+    } | pipelines
     for which in ("source_crs", "target_crs", "interpolation_crs"):
         code = crs.to_epsg()
         tags |= {f"{which}_wkt": crs.to_wkt()} if code is None else {f"{which}_epsg_code": str(code)}

@@ -52,10 +52,18 @@ def test_proj_moves_points_as_the_correction_does(name: str, correction: Correct
     assert np.abs(back_px - correction.forward(drawn_px)).max() < 0.02
 
 
-def test_gdal_warps_by_the_inverse_grid_without_holes(tmp_path: Path) -> None:
-    """GDAL's own approximation, 0.125 px by default, is all that is between it and this program."""
-    grid, path = GRIDS["utm"], tmp_path / "x_proj_inverse.tif"
+@pytest.mark.parametrize("name", ["utm", "south up", "degrees"])
+def test_gdal_warps_by_the_inverse_grid_without_holes(name: str, tmp_path: Path) -> None:
+    """GDAL's own approximation, 0.125 px by default, is all that is between it and this program.
+
+    It hands north over first where the CRS's first axis points north, as in two of these.
+    """
+    grid, path = GRIDS[name], tmp_path / "x_proj_inverse.tif"
     write_proj_grid(path, SPLINE, grid, is_inverse=True)
+    assert grid.crs is not None
+    pipeline = proj_pipeline(str(path), grid.crs, is_inverse=True, is_for_gdal=True)
+    with rasterio.open(path) as file:
+        assert file.tags()["gdal_pipeline"] == pipeline.replace(str(path), path.name)
     row, col = np.mgrid[:400, :600] + 0.5
     places_px = SPLINE.forward(np.column_stack([col.ravel(), row.ravel()]))
     for axis, values in enumerate((col, row)):
@@ -64,11 +72,11 @@ def test_gdal_warps_by_the_inverse_grid_without_holes(tmp_path: Path) -> None:
             np.full_like(values, np.nan),
             src_transform=grid.transform,
             dst_transform=grid.transform,
-            src_crs=UTM,
-            dst_crs=UTM,
+            src_crs=grid.crs,
+            dst_crs=grid.crs,
             dst_nodata=np.nan,
             resampling=Resampling.bilinear,
-            COORDINATE_OPERATION=proj_pipeline(str(path), UTM, is_inverse=True),
+            COORDINATE_OPERATION=pipeline,
         )
         error_px = (warped - places_px[:, axis].reshape(grid.shape))[10:-10, 10:-10]
         assert np.abs(error_px).max() < 0.13
