@@ -254,6 +254,8 @@ class ModelFamily:
     """Whether ``auto`` tries it for any image."""
     in_geotransform: bool = False
     """Whether the geotransform of a VRT can hold it."""
+    special_of: str = ""
+    """Name of the model of which it is a special case, which ``auto`` tries where it has chosen that one."""
 
 
 def _polynomial(
@@ -269,9 +271,9 @@ MODELS: Final[Mapping[str, ModelFamily]] = MappingProxyType(
         "shift": _polynomial("shift", "a shift", 0, (0,)),
         "drift": _polynomial("drift", "a drift", 1, (0, 2), automatic=False),
         "rigid": ModelFamily(
-            partial(fit_similarity, scaled=False), "a rotation", automatic=False, in_geotransform=True
+            partial(fit_similarity, scaled=False), "a rotation", in_geotransform=True, special_of="affine"
         ),
-        "similarity": ModelFamily(fit_similarity, "a similarity", automatic=False, in_geotransform=True),
+        "similarity": ModelFamily(fit_similarity, "a similarity", in_geotransform=True, special_of="affine"),
         "affine": _polynomial("affine", "an affine", 1, (0, 1, 2)),
         "projective": ModelFamily(fit_projective, "a homography"),
         "polynomial2": _polynomial("polynomial2", "a polynomial of order 2", 2),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 from scipy.special import chdtri, fdtri
@@ -14,58 +13,10 @@ from pcwlad_geo.correction.cross_validation import SharedNoise, cross_validation
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, MODELS
 from pcwlad_geo.correction.fitted import Fit, Trend
 from pcwlad_geo.correction.models import has_foldover
+from pcwlad_geo.correction.selection_parameters import SELECTION, SelectionParameters
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.comparison import is_significant, simplest_unbeaten
 from pcwlad_geo.types import Bool, Float64
-
-
-@dataclass(frozen=True, slots=True)
-class SelectionParameters:
-    """When a model replaces a simpler one, and the error that no residual shows."""
-
-    significance: float = 1.0
-    """Number of standard errors by which the affine must predict better than the shift."""
-    clear_share: float = 0.25
-    """A model whose mean squared error is at most this share of a simpler one's is clearly better, whatever
-    the standard error, which a few blocks that no model follows can make large; so is an affine by the median
-    of the blocks, as it bends to no cluster of wrong points, which would spoil the mean."""
-    clear_blocks: float = 0.75
-    """Least share of the blocks in which a clearly better model must have the smaller error."""
-    clear_gain_px: float = 0.5
-    """Least radial RMS by which a clearly better model must reduce the error."""
-    dense_significance: float = 0.0
-    """Number of standard errors by which a model must predict better than a simpler one if both need
-    resampling: simplicity has no value there, and cross-validation disfavours a spline, which interpolates
-    over shorter distances than a block."""
-    perspective_share: float = 0.5
-    """Largest part of a projective's mean squared error that a more flexible model of two frames may leave:
-    flat ground is seen so, and what a polynomial predicts better beyond is mostly an error that the matches
-    share."""
-    resampling_significance: float = 2.5
-    """The same of a model that needs resampling, over one that needs none."""
-    min_gain_px: float = 0.05
-    """Least radial RMS by which a model must reduce the error of one that needs no resampling. An affine
-    rotates the axes of the map; on pairs displaced by a shift alone it gained up to 0.04 px by chance."""
-    windows_per_parameter: float = 3.0
-    """Least number of cells of one matching window, in which points lie, per parameter of an axis for a model
-    that needs resampling. With fewer it must remove more error than it leaves, and more than chance explains.
-    Errors that neighbours share look like detail to a cross-validation."""
-    chance: float = 0.05
-    """Largest probability that errors alone explain the change of the correction by a more complex model."""
-    spare_share: float = 0.25
-    """Least share of the observations that stay free in that test: where points are dense, a spline may have
-    more effective parameters than there are windows without common pixels."""
-    common_sigma: float = 0.6
-    """Error that all points of a scene have in common, in sigmas of a point, measured on scenes of exact
-    truth. Residuals do not show it, and no number of points averages it out."""
-    common_change: float = 0.5
-    """Share of the variance of that error which changes from place to place, as a deformation does."""
-    min_blocks: int = 4
-    """Least number of blocks for a cross-validation."""
-
-
-SELECTION: Final = SelectionParameters()
-"""Those in use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +122,11 @@ def choose(
     resamples must also be better by 2.5 standard errors, and have three windows for each parameter of an
     axis. With fewer windows it must remove more error than it leaves, and than chance explains (F test at
     95 %, each window without common pixels being one observation). The measured field is tried where one that
-    resamples has been chosen, and must be better by 2.5 standard errors. Squared errors are weighted by the
-    points' variance; points that are outliers to every model do not count. A model with a foldover is never
-    chosen. Raises `InputError` if no candidate can be fitted (with the reason of the first one), or there is
-    none.
+    resamples has been chosen, and must be better by 2.5 standard errors. Rigid and similarity are tried where
+    the affine has been chosen, and take its place unless it is better by half a standard error, or (2) holds
+    for it. Squared errors are weighted by the points' variance; points that are outliers to every model do
+    not count. A model with a foldover is never chosen. Raises `InputError` if no candidate can be fitted
+    (with the reason of the first one), or there is none.
 
     Parameters
     ----------
@@ -203,7 +155,8 @@ def choose(
     )
     notes: dict[str, str] = {}
     # The field is the costliest by far: it is tried only where a model that resamples has been chosen.
-    cheap = [candidate for candidate in candidates if candidate != "field"]
+    special = [candidate for candidate in candidates if MODELS[candidate].special_of in candidates]
+    cheap = [candidate for candidate in candidates if candidate not in ("field", *special)]
     fits = _fits(points, cheap if cheap or not candidates else candidates, box_px, notes)
     if not fits:
         raise InputError(next(iter(notes.values()), "no correction model to choose from: name at least one"))
@@ -220,6 +173,7 @@ def choose(
             fits |= _fits(points, ("field",), box_px, notes)
             errors = _block_errors(points, fits, notes)
             name = _simplest_unbeaten(points, fits, errors, notes, perspective)
+    name = _specialised(points, fits, errors, name, special, box_px, notes)
     scores = tuple(_score(candidate, fits, errors, candidate == name, notes) for candidate in candidates)
     misfit, common = _misfit(points, fits, name), _common(points, fits[name])
     return Selection(name, fits[name], scores, misfit, common, footprint_px)
@@ -241,8 +195,13 @@ def _fits(
     return fits
 
 
-def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) -> dict[str, Float64]:
-    """Return, by model, the weighted mean squared error of every block predicted from the others, px²."""
+def _block_errors(
+    points: _Points, fits: dict[str, Fit], notes: dict[str, str], special: dict[str, Fit] | None = None
+) -> dict[str, Float64]:
+    """Return, by model, the weighted mean squared error of every block predicted from the others, px².
+
+    They are those of the `special` fits, if there are any: with the weights and the noise of the others.
+    """
     weight = _weight(points, fits)
     errors: dict[str, Float64] = {}
     n = len(points.predicted_px)
@@ -253,7 +212,7 @@ def _block_errors(points: _Points, fits: dict[str, Fit], notes: dict[str, str]) 
         return errors
     flexible = fits[next(reversed(fits))]
     noise = SharedNoise.of(flexible, points.predicted_px, points.footprint_px, division)
-    for name, fit in fits.items():
+    for name, fit in (fits if special is None else special).items():
         try:
             squared = left_out_errors(fit, division, noise)[weight > 0]
         except InputError as error:
@@ -306,6 +265,33 @@ def _simplest_unbeaten(
         return objection is None
 
     return simplest_unbeaten(errors, beats)
+
+
+def _specialised(
+    points: _Points,
+    fits: dict[str, Fit],
+    errors: dict[str, Float64],
+    name: str,
+    special: Sequence[str],
+    box_px: tuple[Float64, Float64] | None,
+    notes: dict[str, str],
+) -> str:
+    """Return the first special case of the chosen model that is as good, otherwise its name.
+
+    Fits and errors of those that are tried are added to `fits` and `errors`.
+    """
+    tried = [model for model in special if MODELS[model].special_of == name and name in errors]
+    notes |= {model: f"not tried: {name} is chosen" for model in special if model not in tried}
+    narrow = _fits(points, tried, box_px, notes)
+    errors |= _block_errors(points, fits, notes, narrow) if narrow else {}
+    fits |= narrow
+    for model in [model for model in narrow if model in errors]:
+        better = is_significant(errors[model] - errors[name], points.parameters.special_significance)
+        if not better and not _differs(fits[model], fits[name], points):
+            notes[name] = f"predicts no better than {model}, which has fewer parameters"
+            return model
+        notes[model] = f"{name} predicts better" if better else f"differs from {name} beyond its uncertainty"
+    return name
 
 
 def _objection(

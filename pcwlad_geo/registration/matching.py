@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pcwlad_geo.correction.points import thin
-from pcwlad_geo.correction.selection import SELECTION
+from pcwlad_geo.correction.selection_parameters import SELECTION
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import Runner, one_library_thread
 from pcwlad_geo.matching import TiePoints

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pcwlad_geo.correction.fit import MODELS
-from pcwlad_geo.correction.selection import SELECTION, choose
+from pcwlad_geo.correction.selection import choose
+from pcwlad_geo.correction.selection_parameters import SELECTION
 from pcwlad_geo.correction.spline_fit import fit_tps
 
 from .points import (

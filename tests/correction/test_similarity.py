@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcwlad_geo.correction.fit import CANDIDATES, MODELS, VRT_MODELS, of_option
+from pcwlad_geo.correction.fit import MODELS, VRT_MODELS, of_option
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.errors import InputError
@@ -79,8 +79,7 @@ def test_it_is_more_precise_than_an_affine() -> None:
     assert sigma[0] < 0.7 * sigma[2]
 
 
-def test_auto_does_not_try_them_and_a_vrt_holds_them() -> None:
-    assert not {"rigid", "similarity"} & set(CANDIDATES)
+def test_a_vrt_holds_them() -> None:
     assert {"rigid", "similarity"} < set(VRT_MODELS)
     assert of_option("rigid") == ("rigid",)
     predicted = scattered(1, 200)
@@ -88,6 +87,56 @@ def test_auto_does_not_try_them_and_a_vrt_holds_them() -> None:
     chosen = choose(predicted, target, isotropic(200, SIGMA_PX), 0.0, ("similarity",))
     assert chosen.name == "similarity"
     np.testing.assert_allclose(chosen.sigma(CORNERS) < 0.1, True)
+
+
+LINEAR = ("shift", "rigid", "similarity", "affine")
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "scale", "expected"),
+    [(2.0, 1.0, {"rigid"}), (0.05, 1.0, {"rigid"}), (0.5, 1.002, {"similarity"}), (0.0, 1.0, {"shift"})],
+)
+def test_auto_takes_them_where_the_affine_is_no_better(
+    angle_deg: float, scale: float, expected: set[str]
+) -> None:
+    names, squared = [], []
+    for seed in range(10):
+        predicted, transform = scattered(seed, 120), truth(angle_deg, scale)
+        target = observed(transform, predicted, seed)
+        errors = []
+        for candidates in (LINEAR, ("shift", "affine")):
+            chosen = choose(predicted, target, isotropic(120, SIGMA_PX), 81, candidates)
+            off_px = chosen.fit.correction.forward(CORNERS) - transform(CORNERS)
+            errors.append((off_px**2).sum(axis=1).mean())
+            if candidates == LINEAR:
+                names.append(chosen.name)
+                assert [score.name for score in chosen.candidates if score.chosen] == [chosen.name]
+        squared.append(errors)
+    assert sum(name in expected for name in names) >= 8
+    ours, without = np.sqrt(np.mean(squared, axis=0))
+    assert ours <= without * (1 if expected == {"shift"} else 0.9)
+
+
+@pytest.mark.parametrize("shear_px", [0.1, 0.5])
+def test_a_shear_stays_an_affine(shear_px: float) -> None:
+    predicted, transform = scattered(1, 200), truth(2.0, 1.01)
+    sheared = predicted + (predicted[:, ::-1] - 256) * (shear_px / 256)
+    target = observed(transform, sheared, 2)
+    chosen = choose(predicted, target, isotropic(200, SIGMA_PX), 81, LINEAR)
+    assert chosen.name == "affine"
+    assert {score.note.partition(" ")[0] for score in chosen.candidates[1:3]} <= {"affine", "differs"}
+    kept = choose(predicted, target, isotropic(200, SIGMA_PX), 81, ("shift", "affine"))
+    assert chosen.candidates[3].rmse_px == kept.candidates[1].rmse_px
+
+
+def test_they_are_not_tried_beside_another_model() -> None:
+    predicted = scattered(1, 200)
+    target = predicted + np.array([1.5, -0.5]) + noise(2, 200, SIGMA_PX)
+    chosen = choose(predicted, target, isotropic(200, SIGMA_PX), 81, LINEAR)
+    assert chosen.name == "shift"
+    assert [score.note for score in chosen.candidates[1:3]] == ["not tried: shift is chosen"] * 2
+    few = choose(predicted[:5], target[:5], isotropic(5, SIGMA_PX), 81, LINEAR)
+    assert few.name == "shift"
 
 
 @pytest.mark.parametrize("name", ["rigid", "similarity"])

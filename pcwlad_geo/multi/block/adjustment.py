@@ -16,7 +16,7 @@ import numpy as np
 
 from pcwlad_geo.correction.fit import LOSSLESS
 from pcwlad_geo.correction.models import AffineCorrection
-from pcwlad_geo.correction.selection import SELECTION
+from pcwlad_geo.correction.selection_parameters import SELECTION
 from pcwlad_geo.estimation.comparison import is_significant, simplest_unbeaten
 from pcwlad_geo.estimation.robust import (
     MEASURED,

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.correction.fit import of_option
-from pcwlad_geo.correction.selection import SELECTION
+from pcwlad_geo.correction.selection_parameters import SELECTION
 from pcwlad_geo.estimation.comparison import is_significant, simplest_unbeaten
 from pcwlad_geo.multi.stack.adjustment import Adjustment, adjust, network_of
 from pcwlad_geo.multi.stack.bases import (

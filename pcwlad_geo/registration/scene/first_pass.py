@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pcwlad_geo.correction.selection import SELECTION
+from pcwlad_geo.correction.selection_parameters import SELECTION
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import JobLog
 from pcwlad_geo.matching import Candidates, TiePoints
