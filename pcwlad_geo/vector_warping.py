@@ -29,7 +29,7 @@ from pcwlad_geo.raster import WGS84, Grid, pixel_sizes_m, transform_xy
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring
 from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers, sqlite_file
 from pcwlad_geo.report.finished import FinishedRegistration
-from pcwlad_geo.report.fitted_again import read_precision
+from pcwlad_geo.report.fitted_again import FittedAgain
 from pcwlad_geo.types import Float64
 
 WRITTEN: Final = {
@@ -106,7 +106,7 @@ def precision_in_metres(folder: str | os.PathLike[str], registration: FinishedRe
     """
     if registration.precision is not None:
         return InMetres(registration.precision, registration.target_grid)
-    return FittedInMetres(read_precision(folder, registration), registration.target_grid)
+    return FittedInMetres(FittedAgain.read(folder, registration).selection, registration.target_grid)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

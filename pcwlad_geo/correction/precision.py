@@ -49,6 +49,11 @@ class SigmaLattice:
         at_px = np.stack(np.meshgrid(on_cols, on_rows), axis=-1)
         return cls(on_cols, on_rows, precision.sigma(at_px.reshape(-1, 2)).reshape(at_px.shape))
 
+    @classmethod
+    def unknown(cls) -> SigmaLattice:
+        """Return the lattice that knows it nowhere."""
+        return cls(np.arange(2.0), np.arange(2.0), np.full((2, 2, 2), np.nan))
+
     def sigma(self, at_px: Float64) -> Float64:
         """Return the (n, 2) standard deviation (col, row), px, at the (n, 2) predicted `at_px`."""
         nodes = RegularGridInterpolator(

@@ -311,8 +311,8 @@ class Correction(Shown):
     def _evidence(self) -> tuple[FitAccuracy, Quality]:
         if self.evidence is None:
             raise InputError(
-                f"nothing tells the accuracy of this {self.name} correction, which was made by hand, "
-                "composed, or read from the folder of a registration: ask the fitted one"
+                f"nothing tells the accuracy of this {self.name} correction, which was made by hand or "
+                "composed: ask the fitted one"
             )
         return self.evidence
 

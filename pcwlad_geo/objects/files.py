@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from pcwlad_geo.report.correction_file import (
     SigmaEntry,
 )
 from pcwlad_geo.report.finished import FinishedRegistration, grid_entry, output_of
+from pcwlad_geo.report.fitted_again import FittedAgain, read_evidence
 from pcwlad_geo.report.json_content import filled, rounded, versions
 from pcwlad_geo.tiepoints.correction_points import PointColumns
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -71,6 +74,17 @@ def parts_of(path: Path, file: CorrectionFile) -> dict[str, Any]:
         return parts
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path} is damaged ({error}): save the correction again") from error
+
+
+def parts_of_folder(
+    folder: Path, report: Mapping[str, Any], registration: FinishedRegistration
+) -> dict[str, Any]:
+    """Return model, precision, evidence and tie points that the folder of a registration tells, by name."""
+    parts = {"model": registration.correction, "evidence": read_evidence(report)}
+    with suppress(InputError):  # their file is elsewhere, or was changed
+        again = FittedAgain.read(folder, registration)
+        parts |= {"precision": again, "points": again.points}
+    return parts
 
 
 def _rpc_entry(rpc: CorrectedRpc) -> CorrectedRpcEntry:

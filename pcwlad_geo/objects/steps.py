@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any, cast
 from pcwlad_geo import job
 from pcwlad_geo import registration as inner
 from pcwlad_geo.arguments import checked
+from pcwlad_geo.correction.precision import SigmaLattice
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.job import open_pair_runner
 from pcwlad_geo.objects.correction import Correction
-from pcwlad_geo.objects.files import parts_of
+from pcwlad_geo.objects.files import parts_of, parts_of_folder
 from pcwlad_geo.objects.pairs import matched, prepared, resolved
 from pcwlad_geo.objects.registration import Registration
 from pcwlad_geo.objects.tie_points import TiePoints
@@ -35,7 +36,7 @@ from pcwlad_geo.registration import (
 )
 from pcwlad_geo.registration.rpc import check_model
 from pcwlad_geo.report.correction_file import correction_file, is_correction_file
-from pcwlad_geo.report.finished import of_file, read_registration
+from pcwlad_geo.report.finished import FinishedRegistration, of_file, read_registration, read_report
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import PathLike
@@ -333,7 +334,9 @@ def _in_memory(
 def load(path: PathLike) -> Correction:
     """Read a correction that `Correction.save` has written, or that of the folder of a registration.
 
-    A folder, or its report.json, has neither tie points nor precision of the correction.
+    Of a folder, accuracy and quality are those of its report.json, rounded, and the precision is that of its
+    tiepoints.csv fitted again, when it is asked for. Without that file it is not known (NaN), and there are
+    no tie points.
 
     Raises
     ------
@@ -351,11 +354,14 @@ def load(path: PathLike) -> Correction:
                 "folder of pcwlad-geo register"
             ) from error
     if not is_correction_file(content):
-        registration = read_registration(place)
-        return Correction(registration.correction, registration)
-    file = correction_file(place, content)
-    parts = parts_of(place, file)
+        finished = read_registration(place)
+        parts = parts_of_folder(place, content or read_report(place), finished)
+        pair: FinishedRegistration | None = finished
+    else:
+        file = correction_file(place, content)
+        parts, pair = parts_of(place, file), None if file.reference is None else of_file(place, file)
     if parts.get("points") is not None:
         parts["points"] = TiePoints.of(parts["points"])
-    pair = None if file.reference is None else of_file(place, file)
+    if pair is not None:
+        parts.setdefault("precision", SigmaLattice.unknown())
     return Correction(pair=pair, **parts)

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from pcwlad_geo.correction.error_statistics import Accuracy, FitAccuracy
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import Grid, is_folder, middle_pixel_size_m
+from pcwlad_geo.registration import Quality, Reason
+from pcwlad_geo.report.content import QualityEntry
 from pcwlad_geo.report.finished import FinishedRegistration, read_report
+from pcwlad_geo.text import typed
 from pcwlad_geo.tiepoints.readers import read_point_file
+from pcwlad_geo.tiepoints.table import TiePointTable
+from pcwlad_geo.types import Float64
 
 POINTS: Final = "tiepoints.csv"
 """The file of tie points in the folder of a registration."""
@@ -23,32 +32,95 @@ SAME_PX: Final = 0.05
 of a window whose size is known to a pixel of the matching grid."""
 
 
-def read_precision(folder: str | os.PathLike[str], finished: FinishedRegistration) -> Selection:
-    """Return the fit of a finished registration with its covariance.
+@dataclass(frozen=True)
+class FittedAgain:
+    """A finished registration with its tie points, and its precision when that is asked for."""
 
-    Raises `InputError` if the folder lacks its tie points, or these give another correction.
-    """
-    place = Path(folder) if is_folder(folder) else Path(folder).parent
-    report, correction = read_report(place), finished.correction
-    if not (place / POINTS).is_file() or correction.name not in MODELS:
-        what = f"no {POINTS}" if correction.name in MODELS else f"a {correction.name} correction"
-        raise InputError(
-            f"{place} has {what}, from which the sigma of the correction would follow: register the pair "
-            "again without --output-tiepoints, or leave out --write-sigma"
+    place: Path
+    """The folder."""
+    finished: FinishedRegistration
+    points: TiePointTable
+    """With all statuses."""
+
+    @classmethod
+    def read(cls, folder: str | os.PathLike[str], finished: FinishedRegistration) -> FittedAgain:
+        """Read the tie points of a folder, or of that of a report.json.
+
+        Raises `InputError` if there are none from which the precision follows.
+        """
+        place, correction = Path(folder) if is_folder(folder) else Path(folder).parent, finished.correction
+        if not (place / POINTS).is_file() or correction.name not in MODELS:
+            what = f"no {POINTS}" if correction.name in MODELS else f"a {correction.name} correction"
+            raise InputError(
+                f"{place} has {what}, from which the sigma of the correction would follow: register the pair "
+                "again without --output-tiepoints, or leave out --write-sigma"
+            )
+        points = read_point_file(place / POINTS)
+        if points.sigma_px is None or points.displacement_px is None or points.status is None:
+            raise InputError(
+                f"{place / POINTS} lacks the columns of sigma, displacement or status: restore it"
+            )
+        count, predicted_px = len(points.target), points.target - points.displacement_px
+        covariance_px2 = points.sigma_px[:, :, None] * points.sigma_px[:, None, :]
+        if points.correlation is not None:
+            covariance_px2[:, [0, 1], [1, 0]] *= points.correlation[:, None]
+        unknown = np.full((count, 2), np.nan)
+        table = TiePointTable(
+            reference_px=points.reference,
+            target_px=points.target,
+            predicted_px=predicted_px,
+            xy=unknown if points.xy is None else points.xy,
+            displacement_m=unknown if points.displacement_m is None else points.displacement_m,
+            covariance_px2=covariance_px2,
+            score=np.ones(count) if points.score is None else points.score,
+            residual_px=points.target - correction.forward(predicted_px),
+            status=points.status,
+            crs=finished.reference_grid.crs,
         )
-    points = read_point_file(place / POINTS)
-    if points.sigma_px is None or points.displacement_px is None or points.status is None:
-        raise InputError(f"{place / POINTS} lacks the columns of sigma, displacement or status: restore it")
-    is_fit = points.status == "fit"
-    target_px, sigma_px = points.target[is_fit], points.sigma_px[is_fit]
-    predicted_px = target_px - points.displacement_px[is_fit]
-    covariance_px2 = sigma_px[:, :, None] * sigma_px[:, None, :]
-    correlation = np.zeros(len(sigma_px)) if points.correlation is None else points.correlation[is_fit]
-    covariance_px2[:, [0, 1], [1, 0]] *= correlation[:, None]
-    window_px = _footprint_px(report, finished.reference_grid, finished.target_grid)
-    selection = choose(predicted_px, target_px, covariance_px2, window_px, (correction.name,))
-    _check_same(selection.fit.correction, correction, predicted_px, place)
-    return selection
+        return cls(place, finished, table)
+
+    @cached_property
+    def selection(self) -> Selection:
+        """The fit with its covariance; raises `InputError` if the points give another correction."""
+        finished, points = self.finished, self.points.select("fit")
+        window_px = _footprint_px(read_report(self.place), finished.reference_grid, finished.target_grid)
+        selection = choose(
+            points.predicted_px,
+            points.target_px,
+            points.covariance_px2,
+            window_px,
+            (finished.correction.name,),
+        )
+        _check_same(selection.fit.correction, finished.correction, points.predicted_px, self.place)
+        return selection
+
+    def sigma(self, at_px: Float64) -> Float64:
+        """Return the (n, 2) standard deviation (col, row), px, at the (n, 2) predicted `at_px`."""
+        return self.selection.sigma(at_px)
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadEvidence:
+    accuracy: Mapping[str, Mapping[str, Accuracy | None]]
+    quality: QualityEntry
+
+
+def read_evidence(report: Mapping[str, Any]) -> tuple[FitAccuracy, Quality]:
+    """Return accuracy and quality of a finished registration as its report.json tells them, rounded.
+
+    It tells the grade of the worst reason alone, and of what an extent leaves out only the whole.
+    """
+    told = typed(report, _ReadEvidence)
+    units = ((f"{group}_{unit}", of) for group, by in told.accuracy.items() for unit, of in by.items())
+    quality, whole = told.quality, told.quality.whole_ce90_px
+    return FitAccuracy({name: of for name, of in units if of is not None}), Quality(
+        grade=quality.grade,
+        reasons=tuple(Reason(quality.grade, text) for text in quality.reasons),
+        expected_ce90_px=quality.expected_ce90_px,
+        extrapolated_share=quality.extrapolated_share,
+        kept_share=quality.kept_share,
+        whole=None if whole is None else (whole, quality.extrapolated_share),
+    )
 
 
 def _footprint_px(report: dict[str, Any], reference: Grid, target: Grid) -> float:

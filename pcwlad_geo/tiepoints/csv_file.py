@@ -53,6 +53,7 @@ def points_of(table: Table) -> PointFile:
         score=table.numbers("score") if "score" in table.columns else None,
         xy=table.pair("x", "y", optional=True),
         displacement_px=table.pair("d_col", "d_row", optional=True),
+        displacement_m=table.pair("d_x_m", "d_y_m", optional=True),
         status=np.array(statuses, dtype="<U8") if "status" in table.columns else None,
     )
 

@@ -40,6 +40,8 @@ class PointFile:
     """(n, 2) map coordinates (x, y) given besides the pixels, for a consistency check."""
     displacement_px: Float64 | None = None
     """(n, 2) displacements (col, row), px, given besides the pixels, for a consistency check."""
+    displacement_m: Float64 | None = None
+    """(n, 2) displacements along the map axes, metres, if the file states them."""
     shape: tuple[int, int] | None = None
     """Rows, columns of the raster that holds the points."""
     status: NDArray[np.str_] | None = None

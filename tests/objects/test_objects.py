@@ -232,6 +232,58 @@ def test_a_saved_correction_is_the_same(fitted: Fitted, tmp_path: Path) -> None:
         pg.fit(again.tie_points)
 
 
+def test_the_folder_of_a_registration_is_read_whole(fitted: Fitted, tmp_path: Path) -> None:
+    result = pg.register(fitted.reference, fitted.target, **SMALL, model="affine")
+    fix, folder = result.correction, tmp_path / "out"
+    assert fix is not None
+    result.report(folder)
+    for place in (folder, folder / "report.json"):
+        again = pg.load(place)
+        np.testing.assert_allclose(again.sigma(PLACES), fix.sigma(PLACES), rtol=1e-3)
+        assert again.accuracy.check.n == fix.accuracy.check.n
+        assert again.accuracy.check.rmse_px == pytest.approx(fix.accuracy.check.rmse_px, abs=1e-4)
+        assert again.accuracy.fit.m.ce90 == pytest.approx(fix.accuracy.fit.m.ce90, abs=1e-2)
+        assert again.quality.grade == fix.quality.grade
+        assert again.quality.expected_ce90_px == pytest.approx(fix.quality.expected_ce90_px, abs=1e-4)
+        assert [reason.text for reason in again.quality.reasons] == [
+            reason.text for reason in fix.quality.reasons
+        ]
+        ours, theirs = again.tie_points, fix.tie_points
+        np.testing.assert_array_equal(ours.status, theirs.status)
+        assert ours.crs == theirs.crs
+        for name in ("reference_px", "predicted_px", "residual_px", "covariance_px2", "displacement_m"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-4, err_msg=name)
+    saved = pg.load(again.save(tmp_path / "fix.json"))
+    np.testing.assert_allclose(saved.sigma(PLACES), fix.sigma(PLACES), rtol=0.01)
+    assert len(saved.tie_points) == len(fix.tie_points)
+    assert saved.quality == again.quality
+
+
+def test_a_folder_without_its_tie_points_claims_no_precision(fitted: Fitted, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    result = pg.register(fitted.reference, fitted.target, out_dir=folder, **SMALL, model="affine")
+    table = folder / "tiepoints.csv"
+    text = table.read_text(encoding="utf-8")
+    header, first, *rows = text.splitlines()
+    table.write_text("\n".join([header, first.replace(".", ".x", 1), *rows]), encoding="utf-8")
+    assert pg.load(folder).points is None
+    names, *cells = (line.split(",") for line in text.splitlines())
+    for name in ("tgt_col", "d_col"):
+        column = names.index(name)
+        for row in cells:
+            row[column] = str(float(row[column]) + 0.7)
+    table.write_text("\n".join(",".join(row) for row in (names, *cells)), encoding="utf-8")
+    with pytest.raises(pg.InputError, match=r"0\.7\d* px off that of its report"):
+        pg.load(folder).sigma(PLACES)
+    table.unlink()
+    again = pg.load(folder)
+    assert again.points is None
+    assert np.isnan(again.sigma(PLACES)).all()
+    assert result.quality is not None
+    assert again.quality.grade == result.quality.grade
+    assert np.isnan(pg.load(again.save(tmp_path / "fix.json")).sigma(PLACES)).all()
+
+
 def test_the_command_line_reads_it(fitted: Fitted, tmp_path: Path, cli_here: Callable[..., Result]) -> None:
     fix = pg.shift(1.0, 0.0) @ fitted.fix
     fix.save(tmp_path / "fix.json")
