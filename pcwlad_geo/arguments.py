@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import inspect
 import os
 import types
@@ -24,13 +23,6 @@ _WORDS: Final[dict[Any, str]] = {
 }
 
 
-class _Unknown(dict[str, Any]):
-    """Names of a module, and a type that allows everything for those that only type checkers import."""
-
-    def __missing__(self, name: str) -> Any:  # noqa: ANN401
-        return getattr(builtins, name, Sequence if name == "Unpack" else object)
-
-
 def checked(*but: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Raise `SettingsError` with a parameter's name where an argument is not of its type; `but` those given.
 
@@ -47,7 +39,7 @@ def checked(*but: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
         @cache
         def hints() -> dict[str, Any]:
-            return get_type_hints(function, localns=_Unknown(inspect.unwrap(function).__globals__))
+            return _hints_of(function)
 
         @wraps(function)
         def door(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -63,6 +55,16 @@ def checked(*but: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
         return door
 
     return decorated
+
+
+def _hints_of(function: Callable[..., object]) -> dict[str, Any]:
+    """Return the types of the parameters; what only type checkers import allows everything."""
+    names = dict(inspect.unwrap(function).__globals__)
+    while True:
+        try:
+            return get_type_hints(function, localns=names)
+        except NameError as error:
+            names[error.name] = Sequence if error.name == "Unpack" else object
 
 
 def fits(value: object, hint: Any) -> bool:  # noqa: ANN401  # any type

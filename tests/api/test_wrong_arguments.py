@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import inspect
+import typing
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 import pcwlad_geo as pg
+from pcwlad_geo import SettingsError, arguments
 from pcwlad_geo.arguments import fits
 from pcwlad_geo.options import SETTINGS
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from pcwlad_geo.options import Options
 
 IMAGE = np.random.default_rng(4).normal(size=(130, 130)).cumsum(axis=0)
 WRONG: list[Any] = [5, 2.5, True, None, [], [5], {}, {"a": 1}, b"a", object(), float("nan"), IMAGE, print]
@@ -131,3 +139,20 @@ def test_executors_that_do_not_work_are_said() -> None:
 )
 def test_types_of_arguments(value: object, kind: Any, good: bool) -> None:
     assert fits(value, kind) == good
+
+
+def test_names_that_only_type_checkers_import_do_not_stop_a_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python 3.14 copies the names into a plain dictionary before it looks a type up."""
+
+    def copies(function: Callable[..., object], localns: dict[str, object]) -> dict[str, object]:
+        return typing.get_type_hints(function, localns=dict(localns))
+
+    monkeypatch.setattr(arguments, "get_type_hints", copies)
+
+    @arguments.checked()
+    def call(count: int, raster: Options | None = None, **options: Unpack[Options]) -> int:
+        return count
+
+    assert call(1, model="affine") == 1
+    with pytest.raises(SettingsError, match="count"):
+        call("1")  # type: ignore[arg-type]
