@@ -142,8 +142,8 @@ def choose(
         Corners (col, row) of the box of predicted px in which no model may have a foldover; by default the
         box of the points.
     perspective : bool
-        Whether both are frames of a camera: a projective is the image of flat ground then, and is left only
-        for a model of less than half its squared error.
+        Whether one may be a photograph: a projective is the image of flat ground then. It replaces the affine
+        as that replaces the shift, and is left only for a model of less than half its squared error.
     parameters : SelectionParameters
         The limits above.
     """
@@ -304,12 +304,13 @@ def _objection(
 ) -> str | None:
     """Return why a model does not replace a simpler one; None if it does."""
     parameters = points.parameters
-    gain = _gain(errors[name], errors[simpler], simpler, name, parameters)
+    natural = perspective and name == "projective"  # it needs no more evidence than an affine on a map
+    gain = _gain(errors[name], errors[simpler], simpler, name, parameters, natural=natural)
     if gain is None:
         return f"does not predict significantly better than {simpler}"
     windows, remaining_px2 = _windows(points), errors[name].mean()
     few_windows = windows < parameters.windows_per_parameter * fits[name].freedom / 2
-    resampling = simpler in LOSSLESS and name not in LOSSLESS
+    resampling = simpler in LOSSLESS and name not in LOSSLESS and not natural
     if resampling and few_windows and gain < _least_gain(fits[simpler], fits[name], points) * remaining_px2:
         return f"has too many parameters for {windows} separate matching windows"
     if simpler in LOSSLESS and gain < parameters.min_gain_px**2:
@@ -323,16 +324,22 @@ def _objection(
 
 
 def _gain(
-    error_px2: Float64, simpler_px2: Float64, simpler: str, name: str, parameters: SelectionParameters
+    error_px2: Float64,
+    simpler_px2: Float64,
+    simpler: str,
+    name: str,
+    parameters: SelectionParameters,
+    *,
+    natural: bool,
 ) -> float | None:
     """Return by how much a model reduces the squared error of the blocks; None if not significantly.
 
     A model that is so much better in so many blocks that no standard error is needed is so by the mean of the
     blocks or, if it needs no resampling, by the median: a cluster of wrong points that agree spoils the mean
-    of all.
+    of all. A `natural` model has to be as significant as one that needs no resampling.
     """
     gain = simpler_px2 - error_px2
-    if is_significant(gain, _significance(simpler, name, parameters)):
+    if is_significant(gain, _significance(simpler, "affine" if natural else name, parameters)):
         return float(gain.mean())
     if (gain > 0).mean() < parameters.clear_blocks:
         return None

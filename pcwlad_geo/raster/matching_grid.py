@@ -129,6 +129,11 @@ class ViewPair:
         """Whether the user has placed the target, about where it lies."""
         return self.target.info.grid.by_hand
 
+    @property
+    def in_perspective(self) -> bool:
+        """Whether one of the two may be a photograph, as nothing but a hand has placed it on a map."""
+        return not self.georeferenced or self.by_hand or self.reference.info.grid.crs is None
+
 
 def plan_views(reference: RasterInfo, target: RasterInfo) -> ViewPair:
     """Choose the grid that two bands are matched on.

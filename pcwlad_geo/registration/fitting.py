@@ -86,7 +86,7 @@ def fit_correction(
     smooth : (n,) bool array, optional
         The rows that are fitted and checked; other matched ones are ``unused``. By default all are.
     perspective : bool
-        Whether both rasters are frames of a camera, see `selection.choose`.
+        Whether one of the rasters may be a photograph, see `selection.choose`.
     roles : (n,) array of str, optional
         What earlier fits used the rows for: check points stay so, also ``rejected`` ones.
     """

@@ -157,6 +157,21 @@ def test_flat_ground_of_two_frames_is_projective(wavy_px: float, expected: set[s
         assert np.sqrt((left**2).sum(axis=1).mean()) < wavy_px
 
 
+@pytest.mark.parametrize("tilted", [True, False])
+def test_a_photograph_of_few_windows_is_projective_where_it_is_tilted(tilted: bool) -> None:
+    """On a map an affine is asked for less than a projective is; of a camera both are alike."""
+    names, on_maps = [], []
+    for seed in range(5):
+        points = scattered(seed, 200)
+        truth = projective() if tilted else affine(1.0)
+        error = 0.15 * (window_noise(seed, points, 512, 155) + noise(seed, 200, 1.0))
+        given = points, truth.forward(points) + error, isotropic(200, 0.2), 155
+        names.append(choose(*given, perspective=True).name)
+        on_maps.append(choose(*given).name)
+    assert names.count("projective") == (5 if tilted else 0)
+    assert on_maps.count("projective") < (5 if tilted else 1)
+
+
 def test_identical_images() -> None:
     predicted = scattered(7, 60)
     selection = choose(predicted, predicted, np.zeros((60, 2, 2)), 81)

@@ -44,7 +44,7 @@ def match_from_best_start(
                 raise
             continue  # a pose in which too little is common
         if scene.decision.accepted and start.prealignment.pose is not None:
-            scene, start = match_again_in_pose(scene, start, context)
+            scene, start = match_again_in_pose(scene, start, context, perspective=pair.in_perspective)
         if scene.decision.accepted:
             return _on_its_ground(scene, start, pair, context), start.pair
         if best is None or scene.decision.significance >= best[0].decision.significance:

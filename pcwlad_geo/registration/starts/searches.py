@@ -123,8 +123,8 @@ class PoseStarts:
         # from array indices of the overviews to corner-based px of the views
         to_views = [np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1 / factor]]) for factor in factors]
         pose = square(proposal.matrix)
-        if proposal.homography is not None and pair.reference.info.grid.crs is None:
-            pose = proposal.homography  # maps show no perspective
+        if proposal.homography is not None and pair.in_perspective:
+            pose = proposal.homography
         matrix = to_views[1] @ pose @ inverse(to_views[0])
         matrix /= matrix[2, 2]
         if self._expected is None:
