@@ -61,7 +61,7 @@ class FittedInMetres:
         """Return the (n, 2, 2) covariance (col, row) at the (n, 2) `predicted_px`, m²."""
         sizes_m = pixel_sizes_m(self.target, predicted_px)
         if sizes_m is None:
-            raise TypeError("a target without a CRS has no metres")
+            raise InputError("sigma_m is not known without a CRS: leave it out")
         return self.selection.covariance(predicted_px) * sizes_m[:, :, None] * sizes_m[:, None, :]
 
     def sigma_m(self, predicted_px: Float64) -> Float64:
@@ -99,14 +99,20 @@ class InMetres:
         return np.asarray(np.sqrt(((self.of.sigma(predicted_px) * sizes_m) ** 2).mean(axis=1)))
 
 
+def in_metres(precision: Precision, target: Grid) -> SigmaInMetres:
+    """Return the precision of a correction of a target in metres."""
+    of = precision.selection if isinstance(precision, FittedAgain) else precision
+    return FittedInMetres(of, target) if isinstance(of, Selection) else InMetres(of, target)
+
+
 def precision_in_metres(folder: str | os.PathLike[str], registration: FinishedRegistration) -> SigmaInMetres:
     """Return the precision of a registration that was read from `folder`, or from a saved correction.
 
     Raises `InputError` if neither tells it.
     """
     if registration.precision is not None:
-        return InMetres(registration.precision, registration.target_grid)
-    return FittedInMetres(FittedAgain.read(folder, registration).selection, registration.target_grid)
+        return in_metres(registration.precision, registration.target_grid)
+    return in_metres(FittedAgain.read(folder, registration), registration.target_grid)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,7 +33,7 @@ from pcwlad_geo.report.correction_file import text_of
 from pcwlad_geo.report.finished import FinishedRegistration
 from pcwlad_geo.text import Shown
 from pcwlad_geo.types import Float64, PathLike
-from pcwlad_geo.vector_warping import InMetres, Movement, is_vector, moved_vectors, write_vectors
+from pcwlad_geo.vector_warping import Movement, in_metres, is_vector, moved_vectors, write_vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -293,15 +293,15 @@ class Correction(Shown):
                 raise InputError(
                     "the moved GeoDataFrame is returned: leave dst out, and write it with to_file"
                 )
-            precision = self if sigma_m else None
+            precision = (self.precision or self) if sigma_m else None
             return warp_frame(src, registration, is_inverse=inverse, precision=precision, on_event=on_event)
         if dst is None:
             raise InputError("a file of vectors is moved to another file: give dst")
         place, names = Path(dst), [os.fspath(src)]
         check_outputs([place], [src], overwrite=overwrite)
-        in_metres = InMetres(self, registration.target_grid) if sigma_m else None
+        told_m = in_metres(self.precision or self, registration.target_grid) if sigma_m else None
         with trusting(self.trust):
-            moved = moved_vectors(names, Movement(registration, None, inverse, precision=in_metres), on_event)
+            moved = moved_vectors(names, Movement(registration, None, inverse, precision=told_m), on_event)
             write_vectors(moved, names, [place], overwrite=overwrite, on_event=on_event)
         return place
 

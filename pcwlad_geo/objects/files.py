@@ -14,7 +14,6 @@ from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.registration import CorrectedRpc, Quality
 from pcwlad_geo.report.correction_file import (
-    CORRECTION_VERSION,
     CorrectedRpcEntry,
     CorrectionFile,
     CorrectionModelEntry,
@@ -23,7 +22,7 @@ from pcwlad_geo.report.correction_file import (
 from pcwlad_geo.report.finished import FinishedRegistration, grid_entry, output_of
 from pcwlad_geo.report.fitted_again import FittedAgain, read_evidence
 from pcwlad_geo.report.json_content import filled, rounded, versions
-from pcwlad_geo.tiepoints.correction_points import PointColumns
+from pcwlad_geo.tiepoints.correction_points import CORRECTION_VERSION, PointColumns
 from pcwlad_geo.tiepoints.table import TiePointTable
 
 

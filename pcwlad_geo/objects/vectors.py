@@ -11,7 +11,7 @@ from pcwlad_geo.correction.precision import Precision
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.report.finished import FinishedRegistration
-from pcwlad_geo.vector_warping import SIGMA_FIELD, InMetres, Movement, moved_shapes
+from pcwlad_geo.vector_warping import SIGMA_FIELD, Movement, in_metres, moved_shapes
 
 
 def is_vector_frame(value: object) -> bool:
@@ -33,8 +33,8 @@ def warp_frame(
     axis, at the vertices of each row, metres.
     """
     crs = _crs_of(frame, registration)
-    in_metres = None if precision is None else InMetres(precision, registration.target_grid)
-    movement = Movement(registration, crs, is_inverse, precision=in_metres)
+    told_m = None if precision is None else in_metres(precision, registration.target_grid)
+    movement = Movement(registration, crs, is_inverse, precision=told_m)
     shapes = np.array(frame.geometry, dtype=object)
     moved_geometry, sigma_m = moved_shapes(shapes, movement, "the GeoDataFrame", on_event)
     moved = type(frame.geometry)(moved_geometry, index=frame.index, crs=frame.crs)

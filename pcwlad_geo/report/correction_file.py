@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -19,10 +18,13 @@ from pcwlad_geo.raster import FileIdentity, RpcModel
 from pcwlad_geo.registration import Quality
 from pcwlad_geo.report.content import GridEntry
 from pcwlad_geo.text import joined, mismatch, plain, typed
-from pcwlad_geo.tiepoints.correction_points import KIND, PointColumns
-
-CORRECTION_VERSION: Final = 1
-"""Version of the structure of the file."""
+from pcwlad_geo.tiepoints.correction_points import (
+    KIND,
+    PointColumns,
+    check_unedited,
+    check_version,
+    checksum,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +125,7 @@ def is_correction_file(content: object) -> bool:
 def text_of(file: CorrectionFile) -> str:
     """Return the text of the file, with its checksum."""
     content: Any = plain(file)
-    content["checksum"] = _checksum(content)
+    content["checksum"] = checksum(content)
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -132,28 +134,12 @@ def correction_file(path: Path, content: Mapping[str, Any]) -> CorrectionFile:
 
     Raises `InputError` if it is of another version, damaged, or was changed since it was saved.
     """
-    version = content["correction_version"]
-    if version != CORRECTION_VERSION:
-        raise InputError(
-            f"{path} holds a correction of version {version!r:.20}, and this version of pcwlad-geo reads "
-            f"{CORRECTION_VERSION}: save it again with this version, or update pcwlad-geo"
-        )
+    check_version(path, content)
     if (wrong := mismatch(content, CorrectionFile)) is not None:
         raise InputError(f"{path} is damaged ({wrong}): save the correction again")
     try:
         file: CorrectionFile = typed(content, CorrectionFile)
     except ValueError as error:
         raise InputError(f"{path} is damaged ({joined(error)[:300]}): save the correction again") from error
-    if file.checksum is not None and file.checksum != _checksum(content):
-        raise InputError(
-            f"{path} was edited after it was saved (its checksum differs): save the correction again; to "
-            "change one on purpose, compose it, such as pcwlad_geo.shift(1, 0) @ correction, or remove the "
-            "entry 'checksum'"
-        )
+    check_unedited(path, content)
     return file
-
-
-def _checksum(content: Mapping[str, Any]) -> str:
-    rest = {name: value for name, value in content.items() if name != "checksum"}
-    text = json.dumps(rest, sort_keys=True, ensure_ascii=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +20,8 @@ from pcwlad_geo.types import Float64
 
 KIND: Final = "correction"
 """The entry `kind` of a saved correction."""
+CORRECTION_VERSION: Final = 1
+"""Version of the structure of the file."""
 _TEXTS: Final = ("id", "status")
 """Columns that are no numbers, or follow from the order."""
 
@@ -72,6 +76,33 @@ class PointColumns:
         )
 
 
+def check_version(path: Path | str, content: Mapping[str, Any]) -> None:
+    """Raise `InputError` if a saved correction is of another version."""
+    version = content["correction_version"]
+    if version != CORRECTION_VERSION:
+        raise InputError(
+            f"{path} holds a correction of version {version!r:.20}, and this version of pcwlad-geo reads "
+            f"{CORRECTION_VERSION}: save it again with this version, or update pcwlad-geo"
+        )
+
+
+def check_unedited(path: Path | str, content: Mapping[str, Any]) -> None:
+    """Raise `InputError` if a saved correction was changed since it was saved."""
+    if content.get("checksum") not in (None, checksum(content)):
+        raise InputError(
+            f"{path} was edited after it was saved (its checksum differs): save the correction again; to "
+            "change one on purpose, compose it, such as pcwlad_geo.shift(1, 0) @ correction, or remove the "
+            "entry 'checksum'"
+        )
+
+
+def checksum(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a saved correction but for this entry."""
+    rest = {name: value for name, value in content.items() if name != "checksum"}
+    text = json.dumps(rest, sort_keys=True, ensure_ascii=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def _recognises(source: PointSource) -> bool:
     head = source.head.lstrip()
     return head.startswith(b"{") and b'"correction_version"' in head[:200]
@@ -80,6 +111,8 @@ def _recognises(source: PointSource) -> bool:
 def _read(source: PointSource) -> PointFile:
     try:
         content: Any = parse_json("\n".join(source.lines or ()))
+        check_version(source.path, content)
+        check_unedited(source.path, content)
         columns = content.get("tie_points")
         if columns is None:
             raise InputError(

@@ -19,13 +19,13 @@ FORMATS: Final = Registry(
     "pcwlad_geo.formats",
     TiePointFormat,
     (
+        "pcwlad_geo.tiepoints.correction_points:CORRECTION",
         "pcwlad_geo.tiepoints.qgis_points:QGIS",
         "pcwlad_geo.tiepoints.csv_file:CSV",
         "pcwlad_geo.tiepoints.gdal_csv:GDAL_CSV",
         "pcwlad_geo.tiepoints.asp:ASP",
         "pcwlad_geo.tiepoints.odm:ODM",
         "pcwlad_geo.tiepoints.geopackage:GEOPACKAGE",
-        "pcwlad_geo.tiepoints.correction_points:CORRECTION",
     ),
     ("pcwlad_geo.tiepoints.gcps:GCPS", "pcwlad_geo.tiepoints.envi:ENVI"),
 )

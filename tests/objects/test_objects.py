@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -354,6 +355,28 @@ def test_a_file_that_was_changed_is_refused(
     assert "fix.json" in str(caught.value) or "report.json" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda content: content["tie_points"]["numbers"]["tgt_col"].__setitem__(0, 7.0), "was edited after"),
+        (of_another_version, "of version 7, and this version of pcwlad-geo reads 1"),
+        (without_checksum(lambda content: content["tie_points"]["status"].pop()), "damaged .*save the"),
+    ],
+)
+def test_points_of_a_file_that_was_changed_are_refused(
+    change: Callable[[dict[str, Any]], None], says: str, fitted: Fitted, tmp_path: Path
+) -> None:
+    place = fitted.fix.save(tmp_path / "fix.json")
+    content = json.loads(place.read_text(encoding="utf-8"))
+    change(content)
+    place.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(pg.InputError, match=rf"fix\.json.*{says}"):
+        pg.TiePoints.from_file(place, fitted.reference, fitted.target)
+    place.write_text(json.dumps(content)[:5000], encoding="utf-8")
+    with pytest.raises(pg.InputError, match=r"fix\.json is damaged .*: save the correction again"):
+        pg.TiePoints.from_file(place, fitted.reference, fitted.target)
+
+
 def test_what_is_no_correction_is_said(fitted: Fitted, tmp_path: Path) -> None:
     place = fitted.fix.save(tmp_path / "fix.json")
     text = place.read_text(encoding="utf-8")
@@ -407,6 +430,21 @@ def test_the_command_line_tells_the_precision_of_a_saved_correction(
     by_file = geopandas.read_file(next((tmp_path / "moved").glob("*.gpkg")))
     in_python = fitted.fix.warp(frame, sigma_m=True)
     assert by_file["sigma_m"][0] == pytest.approx(in_python["sigma_m"][0], rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_million_vertices_follow_with_their_sigma_in_time(fitted: Fitted) -> None:
+    around = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
+    circle = np.column_stack([np.cos(around), np.sin(around)])
+    low, high = np.array(GRID.transform @ (30, 190)), np.array(GRID.transform @ (210, 30))
+    random = np.random.default_rng(0)
+    shapes = [shapely.Polygon(random.uniform(low, high) + 200 * circle) for _ in range(1000)]
+    frame = geopandas.GeoDataFrame(geometry=shapes, crs=GRID.crs.to_wkt())
+    start = time.monotonic()
+    moved = fitted.fix.warp(frame, sigma_m=True)
+    assert time.monotonic() - start < 20
+    assert len(moved) == 1000
+    assert np.isfinite(moved.sigma_m).all()
 
 
 def test_vectors_that_cannot_follow_are_said(fitted: Fitted, tmp_path: Path) -> None:
