@@ -160,46 +160,10 @@ def register(
     output_points: PathLike | None = None,
     **options: Unpack[Options],
 ) -> Registration:
-    """Register the target to the reference and write tie points, corrected raster and report.
+    """Register files, write tie points, corrected raster and report, and return the result.
 
-    Parameters
-    ----------
-    reference : path or rasterio dataset
-        Raster that stays, or a product with `ref_band` the name of a band.
-    target : path or rasterio dataset
-        Raster that moves, or a product: all its bands are corrected as `tgt_band` is.
-    out_dir : path, optional
-        Output folder; ``<target stem>_registered`` in the working folder by default.
-    overwrite : bool
-        Replace the results of an earlier run in `out_dir`.
-    on_event : callable
-        Receives `Progress` and `Warned` events; an exception that it raises ends the job.
-    executor : concurrent.futures.Executor or Runner, optional
-        Runs the tiles; None = `jobs` processes, or the workers of `scheduler`.
-    output_raster, output_tiepoints, output_report, output_points : path, optional
-        Write the registered raster, the tie points CSV, the report page, the QGIS points there instead of
-        into `out_dir`.
-    **options
-        The fields of `Settings`.
-
-    Returns
-    -------
-    Registration
-        Its tie points are in pixels (col, row) of the original files, corner-based; its `outputs` are the
-        files written, by kind.
-
-    Raises
-    ------
-    InputError
-        If a raster or an option cannot be used; nothing is written.
-    OutputError
-        If the results cannot be written; nothing is left half-written.
-    ExecutionError
-        If what the job runs on cannot be used or is lost; nothing is written.
-    RegistrationRejectedError
-        If the pair cannot be registered reliably; the report is written, a registered raster is not.
-    RequirementError
-        If a requirement (`require`) is not met; the report is written, corrected files only with `keep`.
+    Parameters and errors are those of `pcwlad_geo.register`, but that the folder is always written, and that
+    `jobs` processes run the tiles unless `executor` does.
     """
     places: OutputPlaces = {
         "out_dir": out_dir,

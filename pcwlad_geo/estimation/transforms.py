@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
@@ -189,24 +188,6 @@ class ShiftTransform(SimilarityTransform):
     def fit(cls, from_xy: Float64, to_xy: Float64) -> Self:
         """Return the shift of least squares between the (n, 2) points `from_xy` and `to_xy`."""
         return cls.by((to_xy - from_xy).mean(axis=0))
-
-
-TRANSFORMS: Final = {
-    transform.KIND: transform
-    for transform in (ShiftTransform, SimilarityTransform, AffineTransform, ProjectiveTransform)
-}
-"""Every kind by its name, the simplest first: each is a special case of the next one."""
-
-
-def transform_from_dict(values: Mapping[str, Any]) -> ProjectiveTransform:
-    """Return the transform that `ProjectiveTransform.to_dict` describes; raise `InputError` if it is none."""
-    try:
-        return TRANSFORMS[values["type"]].from_numbers(values["matrix"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"this is no transform ({type(error).__name__}: {error}): give one of the types "
-            f"{', '.join(TRANSFORMS)}, with its matrix"
-        ) from error
 
 
 def finite_array(values: object, shape: tuple[int, ...]) -> Float64:
