@@ -22,36 +22,24 @@ from qgis.core import (
     QgsVectorLayer,
 )
 from qgis.gui import QgsMapToolPan
-from qgis.PyQt.QtWidgets import QDockWidget, QWidget
+from qgis.PyQt.QtWidgets import QWidget
 from qgis.utils import iface, plugins
-from steps import JOB, go, grab, seen
+from steps import JOB, add, begin, editable, ended, go, grab, opened, seen
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
-    window = iface.mainWindow()
-    window.resize(1400, 900)
-    for name in ("Browser", "ProcessingToolbox"):
-        window.findChild(QDockWidget, name).close()
-    project = QgsProject.instance()
-    project.setCrs(QgsCoordinateReferenceSystem("EPSG:32633"))
-    layers = [QgsRasterLayer(JOB[name], Path(JOB[name]).stem) for name in ("reference", "target")]
-    project.addMapLayers(layers)
+    """Do one thing after the other; yield how many milliseconds it may take."""
+    window = begin()
+    QgsProject.instance().setCrs(QgsCoordinateReferenceSystem("EPSG:32633"))
+    layers = add("reference", "target")
     yield 1500
     plugin = plugins["pcwlad_geo_qgis"]
-    iface.setActiveLayer(layers[1])
     seen["menu"] = plugin.action in iface.rasterMenu().actions() or any(
         plugin.action in each.menu().actions() for each in iface.rasterMenu().actions() if each.menu()
     )
-    plugin.action.trigger()
-    yield 800
+    yield from opened(layers[1], 430)
     dock = plugin.dock
     seen["preset"] = [box.currentLayer().name() for box in (dock.target, dock.reference)]
-    iface.messageBar().clearWidgets()
-    window.resizeDocks(
-        [dock], [430], __import__("qgis.PyQt.QtCore", fromlist=["Qt"]).Qt.Orientation.Horizontal
-    )
-    yield 800
     grab(window, "align")
     dialog = processing.createAlgorithmDialog("pcwlad_geo:register", {})
     dialog.show()
@@ -69,19 +57,12 @@ def steps() -> Iterator[int]:
     dock.close_all()
 
 
-def wait(dock: Any) -> Iterator[int]:
-    """Wait for the end of the work."""
-    while not dock.start_button.isEnabled():
-        yield 200
-    yield 1500
-
-
 def align(dock: Any) -> Iterator[int]:
     """Align with all defaults."""
     seen["moved"] = []
     dock.progress.valueChanged.connect(lambda percent: seen["moved"].append([dock.stage.text(), percent]))
     dock.start()
-    yield from wait(dock)
+    yield from ended(dock)
     dock.progress.valueChanged.disconnect()
     seen["verdict"] = dock.verdict.text()
     root = QgsProject.instance().layerTreeRoot()
@@ -124,9 +105,7 @@ def edit(dock: Any, window: QWidget) -> Iterator[int]:
     editor = dock.editor
     seen["before_the_editor"] = visible_rasters()
     dock.tabs.setCurrentIndex(1)
-    while not editor.isEnabled():
-        yield 100
-    yield 3000
+    yield from editable(dock)
     seen["points"] = len(editor.points.points)
     seen["columns"] = editor.model.titles
     top = editor.sorted.mapToSource(editor.sorted.index(0, 0)).row()
@@ -182,7 +161,7 @@ def edit(dock: Any, window: QWidget) -> Iterator[int]:
     dock.target.setLayer(None)  # what was edited counts, not what is chosen
     editor.use()
     yield 1000
-    yield from wait(dock)
+    yield from ended(dock)
     seen["again"] = dock.verdict.text()
 
 
@@ -289,16 +268,15 @@ def leave(dock: Any) -> Iterator[int]:
     dock.editor.undo()
     yield 1000
     seen["editor_after_leaving"] = dock.editor is None
-    layers = [QgsRasterLayer(JOB[name], Path(JOB[name]).stem) for name in ("reference", "target")]
-    project.addMapLayers(layers)
+    layers = add("reference", "target")
     dock.tabs.setCurrentIndex(0)
     dock.reference.setLayer(layers[0])
     dock.target.setLayer(layers[1])
     dock.choices.set("EXTENT", extent_of(layers[0].extent(), layers[0]))
     dock.start()
-    yield 3000
+    yield 1000
     project.clear()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["after_clearing"] = {
         "verdict": dock.verdict.text(),
         "progress": dock.progress.value(),
@@ -364,7 +342,7 @@ def limited(dock: Any, layers: list[QgsRasterLayer]) -> Iterator[int]:
     dock.choices.set("EXTENT", extent_of(box, polygons))
     dock.choices.set("GEOREFERENCE", True)
     dock.start()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["limited"] = dock.verdict.text()
     after = dock.layers["after"]
     seen["georeferenced"] = after.source()
@@ -384,7 +362,7 @@ def cancel(dock: Any) -> Iterator[int]:
     dock.start()
     yield 1500
     dock.cancel_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["cancelled"] = dock.verdict.text()
     seen["editor_kept"] = dock.editor is before and before is not None
 

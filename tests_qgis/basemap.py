@@ -10,28 +10,19 @@ import time
 from collections.abc import Iterator
 
 from qgis.core import QgsProject, QgsRasterLayer
-from qgis.PyQt.QtCore import Qt, QTimer
-from qgis.PyQt.QtWidgets import QDockWidget
+from qgis.PyQt.QtCore import QTimer
 from qgis.utils import iface, plugins
-from steps import JOB, go, grab, seen
+from steps import JOB, begin, go, grab, opened, seen
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
-    window = iface.mainWindow()
-    window.resize(1400, 900)
-    for name in ("Browser", "ProcessingToolbox"):
-        window.findChild(QDockWidget, name).close()
+    """Do one thing after the other; yield how many milliseconds it may take."""
+    window = begin()
     layers = [QgsRasterLayer(JOB["tiles"], "Luftbild", "wms"), QgsRasterLayer(JOB["target"], "thermal")]
     QgsProject.instance().addMapLayers(layers)
-    iface.setActiveLayer(layers[1])
-    plugin = plugins["pcwlad_geo_qgis"]
-    plugin.action.trigger()
-    yield 500
-    dock = plugin.dock
-    window.resizeDocks([dock], [420], Qt.Orientation.Horizontal)
+    yield from opened(layers[1], 420)
+    dock = plugins["pcwlad_geo_qgis"].dock
     iface.zoomToActiveLayer()
-    iface.messageBar().clearWidgets()
     yield 2000
     seen["preset"] = dock.reference.currentText()
     grab(window, "basemap_before")

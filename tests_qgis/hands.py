@@ -2,7 +2,7 @@
 
 WINDOW_JOB names a JSON file: `reference`, `target`, `noise` (of the reference's place), `photo` (a part
 of the reference, turned, without a place), `package` (the target in a GeoPackage), `points` (of the
-Georeferencer), `empty` (an index without packages), and `folder`.
+Georeferencer), and `folder`.
 """
 
 from __future__ import annotations
@@ -15,22 +15,19 @@ from pathlib import Path
 from typing import Any
 
 import processing
-from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRasterLayer, QgsRectangle
+from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRectangle
 from qgis.PyQt.QtCore import QPoint, Qt
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QDockWidget, QScrollArea, QWidget
+from qgis.PyQt.QtWidgets import QScrollArea, QWidget
 from qgis.utils import iface, plugins
-from steps import FOLDER, JOB, go, grab, seen
+from steps import FOLDER, JOB, add, begin, editable, ended, go, grab, seen
 
 PROJECT = QgsProject.instance()
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
-    window = iface.mainWindow()
-    for name in ("Browser", "ProcessingToolbox"):
-        window.findChild(QDockWidget, name).close()
-    window.resize(1024, 740)
+    """Do one thing after the other; yield how many milliseconds it may take."""
+    window = begin(1024, 740)
     seen["alone"] = window.minimumSizeHint().width()
     layers = add("reference", "target")
     iface.setActiveLayer(layers[1])
@@ -49,30 +46,8 @@ def steps() -> Iterator[int]:
     dock.close_all()
 
 
-def add(*names: str) -> list[QgsRasterLayer]:
-    """Add rasters of the job to the project."""
-    layers = [QgsRasterLayer(JOB[name], name) for name in names]
-    PROJECT.addMapLayers(layers)
-    return layers
-
-
 def click(button: QWidget) -> None:
     QTest.mouseClick(button, Qt.MouseButton.LeftButton)
-
-
-def wait(dock: Any) -> Iterator[int]:
-    """Wait for the end of the work."""
-    yield 500
-    while dock._runner.running:
-        yield 100
-    yield 500
-
-
-def ready(dock: Any) -> Iterator[int]:
-    """Wait until points can be edited, or until the engine has said why not."""
-    while not dock.editor.isEnabled() and "starting" in dock.editor.told.text():
-        yield 100
-    yield 500
 
 
 def shown(dock: Any) -> dict[str, bool]:
@@ -94,11 +69,6 @@ def first_look(plugin: Any) -> Iterator[int]:
     seen["focus"] = dock.start_button.hasFocus() or not iface.mainWindow().isActiveWindow()
     seen["toolbar"] = [bar.objectName() for bar in plugin.action.associatedWidgets() if bar.isVisible()]
     grab(iface.mainWindow(), "no_engine_1024")
-    os.environ.update(PIP_NO_INDEX="1", PIP_FIND_LINKS=JOB["empty"])
-    click(dock.index_button)
-    yield from wait(dock)
-    seen["no index"] = dock.verdict.text()
-    grab(dock, "no_index")
     os.environ.update(PCWLAD_GEO_PYTHON=engine, PATH=path)
     plugin.action.trigger()
 
@@ -126,7 +96,7 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     seen["tasks"] = [each.description() for each in QgsApplication.taskManager().tasks()]
     seen["running"] = [shown(dock)["run_box"], dock.start_button.isEnabled(), dock.cancel_button.isEnabled()]
     dock.start()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["aligned"] = dock.verdict.text()
     tree = iface.layerTreeView()
     seen["unfolded"] = tree.isExpanded(tree.node2index(PROJECT.layerTreeRoot().findGroup("target aligned")))
@@ -134,8 +104,7 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     grab(window, "aligned_1024")
     dock.tabs.setCurrentIndex(1)
     editor = dock.editor
-    yield from ready(dock)
-    yield 1500
+    yield from editable(dock)
     seen["window"].append(window.minimumSizeHint().width())
     grab(window, "points_1024")
     yield from keys(editor)
@@ -154,8 +123,8 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
         seen["told"].append([shown(dock)["run_box"], editor.use_button.isEnabled(), dock.stage.text()])
         dock.start()
     grab(window, "again_1024")
-    yield from wait(dock)
-    yield from ready(dock)
+    yield from ended(dock)
+    yield from editable(dock)
     seen["again"] = [dock.verdict.text(), shown(dock)["verdict_area"], dock.editor.use_button.isEnabled()]
     root = PROJECT.layerTreeRoot()
     seen["groups"] = [[group.name(), group.itemVisibilityChecked()] for group in root.findGroups()]
@@ -163,7 +132,7 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     dock.start()  # from the other page
     yield 800
     dock.editor.use()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["third"] = dock.verdict.text()
 
 
@@ -205,11 +174,11 @@ def refused(dock: Any) -> Iterator[int]:
     dock.tabs.setCurrentIndex(0)
     dock.target.setLayer(noise)
     click(dock.start_button)
-    yield from wait(dock)
+    yield from ended(dock)
     seen["refused"] = [dock.verdict.text(), shown(dock)]
     grab(iface.mainWindow(), "refused_1024")
     dock.align_by(JOB["points"])
-    yield from wait(dock)
+    yield from ended(dock)
     seen["by points"] = dock.verdict.text()
 
 
@@ -219,14 +188,13 @@ def unplaced(dock: Any) -> Iterator[int]:
     dock.tabs.setCurrentIndex(0)
     dock.target.setLayer(layer)
     click(dock.start_button)
-    yield from wait(dock)
+    yield from ended(dock)
     seen["unplaced"] = dock.verdict.text()
     seen["alpha"] = dock.layers["after"].renderer().alphaBand()
     grab(iface.mainWindow(), "unplaced")
     dock.tabs.setCurrentIndex(1)
     editor = dock.editor
-    yield from ready(dock)
-    yield 2000
+    yield from editable(dock)
     canvas = iface.mapCanvas()
     editor.select(5)
     yield 1500
@@ -281,16 +249,16 @@ def trusted(dock: Any) -> Iterator[int]:
     dock.tabs.setCurrentIndex(0)
     dock.target.setLayer(layer)
     click(dock.start_button)
-    yield from wait(dock)
+    yield from ended(dock)
     seen["package"] = [dock.verdict.text(), shown(dock)]
     grab(dock, "package")
     click(dock.trust_button)
-    yield from wait(dock)
+    yield from ended(dock)
     seen["trusted"] = [dock.verdict.text(), shown(dock)]
     click(dock.start_button)
-    yield from wait(dock)
+    yield from ended(dock)
     seen["trusted again"] = dock.verdict.text()
-    yield from ready(dock)
+    yield from editable(dock)
     seen["edits the trusted"] = dock.editor.isEnabled()
 
 
@@ -336,7 +304,7 @@ def themes(dock: Any) -> Iterator[int]:
 def closing(dock: Any) -> Iterator[int]:
     """Close the dock with edits and without; save the project; begin another."""
     editor = dock.editor
-    yield from ready(dock)
+    yield from editable(dock)
     editor.switch([3], False)
     yield 500
     dock.close()

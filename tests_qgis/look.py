@@ -11,17 +11,14 @@ from typing import Any
 from qgis.core import QgsCoordinateReferenceSystem, QgsProject, QgsRaster
 from qgis.PyQt.QtCore import QEvent, Qt
 from qgis.PyQt.QtGui import QKeyEvent
-from qgis.PyQt.QtWidgets import QApplication, QDockWidget
+from qgis.PyQt.QtWidgets import QApplication
 from qgis.utils import iface, plugins
-from steps import JOB, go, grab, seen
+from steps import JOB, begin, go, grab, seen
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
-    window = iface.mainWindow()
-    window.resize(1400, 900)
-    for name in ("Browser", "ProcessingToolbox"):
-        window.findChild(QDockWidget, name).close()
+    """Do one thing after the other; yield how many milliseconds it may take."""
+    window = begin()
     QgsProject.instance().setCrs(QgsCoordinateReferenceSystem("EPSG:32633"))
     plugin = plugins["pcwlad_geo_qgis"]
     plugin.open_dock()

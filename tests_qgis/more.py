@@ -15,9 +15,9 @@ from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRasterLayer, Qg
 from qgis.PyQt.QtCore import QObject, QPoint, Qt, QUrl, pyqtSlot
 from qgis.PyQt.QtGui import QDesktopServices
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QAbstractButton, QDockWidget
+from qgis.PyQt.QtWidgets import QAbstractButton
 from qgis.utils import iface, plugins
-from steps import FOLDER, JOB, go, grab, seen
+from steps import FOLDER, JOB, begin, editable, ended, go, grab, opened, seen
 
 
 class Opened(QObject):
@@ -33,27 +33,21 @@ class Opened(QObject):
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
-    window = iface.mainWindow()
-    window.resize(1400, 900)
-    for name in ("Browser", "ProcessingToolbox"):
-        window.findChild(QDockWidget, name).close()
+    """Do one thing after the other; yield how many milliseconds it may take."""
+    window = begin()
     names = ("reference", "target", "other", "mask")
     layers = {name: QgsRasterLayer(JOB[name], name) for name in names}
     QgsProject.instance().addMapLayers(list(layers.values()))
-    iface.setActiveLayer(layers["target"])
     plugin = plugins["pcwlad_geo_qgis"]
     seen["toolbar"] = plugin.action in iface.pluginToolBar().actions()
-    plugin.action.trigger()
-    yield 1000
+    yield from opened(layers["target"], 430)
     dock = plugin.dock
     dock.reference.setLayer(layers["reference"])
-    window.resizeDocks([dock], [430], Qt.Orientation.Horizontal)
     yield from choose(dock, layers)
     seen["stages"] = []
     dock._runner.stage.connect(seen["stages"].append)
     dock.start_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["several"] = dock.verdict.text()
     grab(window, "several")
     dock.choices.set("OTHERS", [layers["other"].id()])
@@ -61,7 +55,7 @@ def steps() -> Iterator[int]:
     QgsProject.instance().addMapLayer(drawn)
     dock.choices.set("DRAWN", [drawn.id()])
     dock.apply_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["applied"] = dock.verdict.text()
     root = QgsProject.instance().layerTreeRoot()
     seen["groups"] = {
@@ -119,9 +113,7 @@ def earlier(dock: Any) -> Iterator[int]:
     seen["layers"] = sorted(each.source() for each in QgsProject.instance().mapLayers().values())
     dock.tabs.setCurrentIndex(1)
     editor = dock.editor
-    while not editor.isEnabled():
-        yield 100
-    yield 3000
+    yield from editable(dock)
     seen["points"] = len(editor.points.points)
     canvas = iface.mapCanvas()
     canvas.zoomToFullExtent()
@@ -161,14 +153,6 @@ def earlier(dock: Any) -> Iterator[int]:
     yield 1500
     seen["closed"] = [dock.blink.isActive(), dock.editor is None, process.exists()]
     seen["shown_after_closing"] = [each.name() for each in canvas.layers()]
-
-
-def wait(dock: Any) -> Iterator[int]:
-    """Wait for the end of the work."""
-    yield 300
-    while not dock.start_button.isEnabled():
-        yield 200
-    yield 1500
 
 
 go(steps)

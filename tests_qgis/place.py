@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from qgis.core import QgsCoordinateReferenceSystem, QgsPointXY, QgsProject, QgsRasterLayer
 from qgis.PyQt.QtCore import QEvent, QPoint, QPointF, Qt
 from qgis.PyQt.QtGui import QMouseEvent, QWheelEvent
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QApplication, QDockWidget
+from qgis.PyQt.QtWidgets import QApplication
 from qgis.utils import iface, plugins
-from steps import JOB, go, grab, seen
+from steps import JOB, add, begin, ended, go, grab, opened, seen
 
 NO = Qt.KeyboardModifier.NoModifier
 LEFT = Qt.MouseButton.LeftButton
@@ -25,25 +24,16 @@ TRUTH = JOB["truth"]
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
-    window = iface.mainWindow()
-    window.resize(1400, 900)
-    for name in ("Browser", "ProcessingToolbox"):
-        window.findChild(QDockWidget, name).close()
+    """Do one thing after the other; yield how many milliseconds it may take."""
+    window = begin()
     project = QgsProject.instance()
     project.setCrs(QgsCoordinateReferenceSystem("EPSG:32633"))
-    layers = [QgsRasterLayer(JOB[name], Path(JOB[name]).stem) for name in ("reference", "target", "other")]
-    project.addMapLayers(layers)
+    layers = add("reference", "target", "other")
     project.layerTreeRoot().findLayer(layers[2]).setItemVisibilityChecked(False)
-    iface.setActiveLayer(layers[1])
-    plugin = plugins["pcwlad_geo_qgis"]
-    plugin.action.trigger()
-    yield 500
-    dock = plugin.dock
-    window.resizeDocks([dock], [400], Qt.Orientation.Horizontal)
+    yield from opened(layers[1], 400)
+    dock = plugins["pcwlad_geo_qgis"].dock
     iface.mapCanvas().setExtent(layers[0].extent())
     iface.mapCanvas().refresh()
-    iface.messageBar().clearWidgets()
     yield 1500
     dock.reference.setLayer(layers[0])
     dock.tabs.setCurrentWidget(dock.place)
@@ -207,20 +197,13 @@ def pages(dock: Any, layers: list[QgsRasterLayer]) -> Iterator[int]:
     seen["saved_crs"] = sorted(each.crs().authid() for each in placed)
 
 
-def wait(dock: Any) -> Iterator[int]:
-    """Wait for the end of the work."""
-    while not dock.start_button.isEnabled():
-        yield 200
-    yield 1000
-
-
 def refused(dock: Any, layers: list[QgsRasterLayer]) -> Iterator[int]:
     """Snap to what shows nothing of the layer: it stays where it was put."""
     before = dock.place.ghost.placement.now
     dock.reference.setLayer(layers[2])
     dock.place.snap_button.click()
     seen["while_it_runs"] = [dock.place.snap_button.isEnabled(), dock.cancel_button.isVisible()]
-    yield from wait(dock)
+    yield from ended(dock)
     seen["refusal"] = dock.verdict.text()
     seen["stays"] = [
         dock.tabs.currentWidget() is dock.place,
@@ -235,11 +218,11 @@ def snap(dock: Any) -> Iterator[int]:
     dock.place.snap_button.click()
     yield 1500
     dock.cancel_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["cancelled"] = dock.verdict.text()
     seen["ghost_stays"] = dock.place.ghost is not None
     dock.place.snap_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["snapped"] = dock.verdict.text()
     seen["page"] = dock.tabs.currentIndex()
     seen["after"] = dock.layers["after"].source() if "after" in dock.layers else ""

@@ -129,7 +129,7 @@ def wheel(
 
 
 def test_install_makes_an_environment_that_is_found_until_a_new_one_takes_its_place(
-    tmp_path: Path, nowhere: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, nowhere: Path, quick_python: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three installations, as each takes seconds; the later ones beside an engine that goes before them."""
     folder = tmp_path / "Räder & more"
@@ -147,6 +147,7 @@ def test_install_makes_an_environment_that_is_found_until_a_new_one_takes_its_pl
     )
     assert str(first.parents[1]) in pip.stdout
 
+    parameters["PYTHON"] = quick_python
     with monkeypatch.context() as patch:
         patch.setenv(engine.VARIABLE, program(tmp_path / "other" / "python"))
         run = run_algorithm("installengine", parameters)
@@ -166,7 +167,7 @@ def test_install_makes_an_environment_that_is_found_until_a_new_one_takes_its_pl
     assert settings.find_engine().command[0] == run.results["ENGINE"]
 
 
-def test_a_folder_of_wheels_needs_no_network(tmp_path: Path, nowhere: Path) -> None:
+def test_a_folder_of_wheels_needs_no_network(tmp_path: Path, nowhere: Path, quick_python: str) -> None:
     folder = tmp_path / "wheels"
     folder.mkdir()
     wheel(folder, requires="Requires-Dist: needed\n")
@@ -179,15 +180,15 @@ def test_a_folder_of_wheels_needs_no_network(tmp_path: Path, nowhere: Path) -> N
             "needed-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
         )
         archive.writestr("needed-1.0.dist-info/RECORD", "")
-    run = run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": sys.executable})
+    run = run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": quick_python})
     assert run.results["VERSION"] == "0.1.0"
     assert "--no-index" not in run.feedback.warnings
     (folder / "needed-1.0-py3-none-any.whl").unlink()
     with pytest.raises(QgsProcessingException, match="The installation failed"):
-        run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": sys.executable})
+        run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": quick_python})
     (next(folder.iterdir())).unlink()
     with pytest.raises(AssertionError, match="holds no wheels"):
-        run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": sys.executable})
+        run_algorithm("installengine", {"WHEELHOUSE": str(folder), "PYTHON": quick_python})
 
 
 def test_an_engine_in_the_user_site_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,15 +233,17 @@ def test_install_is_for_people(tmp_path: Path) -> None:
         assert not flags & QgsProcessingAlgorithm.Flag.FlagSupportsBatch
 
 
-def test_a_failed_installation_leaves_the_old_engine(tmp_path: Path, nowhere: Path) -> None:
+def test_a_failed_installation_leaves_the_old_engine(
+    tmp_path: Path, nowhere: Path, quick_python: str
+) -> None:
     old = program(engine.python_of(nowhere))
     newer = wheel(tmp_path, "0.2.0", protocol=2)
     with pytest.raises(QgsProcessingException, match=r"has version 0\.2\.0"):
-        run_algorithm("installengine", {"WHEEL": str(newer), "PYTHON": sys.executable})
+        run_algorithm("installengine", {"WHEEL": str(newer), "PYTHON": quick_python})
     broken = tmp_path / "pcwlad_geo-0.1.0-py3-none-any.whl"
     broken.write_bytes(b"no wheel")
     with pytest.raises(QgsProcessingException, match="The installation failed"):
-        run_algorithm("installengine", {"WHEEL": str(broken), "PYTHON": sys.executable})
+        run_algorithm("installengine", {"WHEEL": str(broken), "PYTHON": quick_python})
     assert settings.find_engine().command[0] == old
     assert settings.find_engine().check(Feedback()) == "0.1.0"
     assert not nowhere.with_name(f"{nowhere.name}-1").exists()

@@ -25,6 +25,7 @@ ENGINES = {
 def seen(
     profile: Path,
     sample: tuple[Path, Path],
+    quick_python: str,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Any]:
     """Try each engine, and return what was seen."""
@@ -40,7 +41,7 @@ def seen(
     for name in ("empty", "index"):
         (folder / name).mkdir()
         places[name] = str(folder / name)
-    places["wheel"] = str(wheel(folder / "index"))
+    places["wheel"], places["python"] = str(wheel(folder / "index")), quick_python
     found = run_in_window("trouble.py", profile, folder, places)
     if PICTURES:
         keep_pictures(folder, Path(PICTURES))
@@ -85,7 +86,12 @@ def test_the_engine_is_installed_from_the_dock_by_one_click(seen: dict[str, Any]
 
 
 def test_an_index_without_the_engine_is_told_and_another_source_stays_offered(seen: dict[str, Any]) -> None:
-    assert "No matching distribution found for pcwlad-geo" in seen["failed"]["verdict"]
+    verdict = seen["failed"]["verdict"]
+    assert "The package index has no pcwlad-geo:</b> choose “From a wheel…”" in verdict
+    bold, _, told = verdict.partition("</b>")
+    assert "pip" not in bold
+    assert len(bold) < 150
+    assert "No matching distribution found for pcwlad-geo" in told
     assert seen["failed"]["offered"] is True
 
 

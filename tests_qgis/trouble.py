@@ -1,40 +1,26 @@
 """What goes wrong around the dock: engines that do not fit, layers that leave: ``qgis --code trouble.py``.
 
 WINDOW_JOB names a JSON file: `reference`, `target`, `engines` (paths by name), `empty` and `index`
-(folders that stand for package indexes), `wheel`, and `folder`.
+(folders that stand for package indexes), `wheel`, `python` (to install with), and `folder`.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from processing.core.ProcessingConfig import ProcessingConfig
-from qgis.core import QgsProject, QgsRasterLayer
 from qgis.PyQt.QtCore import Qt
-from qgis.PyQt.QtWidgets import QDockWidget
-from qgis.utils import iface, plugins
-from steps import JOB, go, grab, seen
-
-STEPS = 1200
-"""Longest wait for what comes at once on a machine that is not busy, tenths of a second."""
+from qgis.utils import plugins
+from steps import JOB, add, begin, ended, go, grab, opened, seen
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
-    window = iface.mainWindow()
-    window.resize(1400, 900)
-    for name in ("Browser", "ProcessingToolbox"):
-        window.findChild(QDockWidget, name).close()
-    layers = [QgsRasterLayer(JOB[name], Path(JOB[name]).stem) for name in ("reference", "target")]
-    QgsProject.instance().addMapLayers(layers)
-    iface.setActiveLayer(layers[1])
+    """Do one thing after the other; yield how many milliseconds it may take."""
+    begin()
+    yield from opened(add("reference", "target")[1], 430)
     plugin = plugins["pcwlad_geo_qgis"]
-    plugin.action.trigger()
-    yield 1000
-    window.resizeDocks([plugin.dock], [430], Qt.Orientation.Horizontal)
     for name, path in JOB["engines"].items():
         yield from engine(plugin.dock, name, path)
     grab(plugin.dock, "engine")
@@ -51,7 +37,7 @@ def engine(dock: Any, name: str, path: str) -> Iterator[int]:
     yield 300
     if name == "hangs":
         dock.cancel_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     offer = dock.index_button
     seen[name] = {
         "ready": dock.start_button.isEnabled(),
@@ -76,32 +62,23 @@ def install(dock: Any) -> Iterator[int]:
     dock._runner.stage.connect(stages.append)
     os.environ.update(PIP_NO_INDEX="1", PIP_FIND_LINKS=JOB["empty"])
     dock.index_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["failed"] = {"verdict": dock.verdict.text(), "offered": dock.index_button.isVisible()}
     os.environ["PIP_FIND_LINKS"] = JOB["index"]
     dock.index_button.click()
     seen["installing"] = [dock.start_button.isEnabled(), dock.cancel_button.isEnabled()]
-    yield from wait(dock)
+    yield from ended(dock)
     seen["installed"] = {"verdict": dock.verdict.text(), "offered": dock.index_button.isVisible()}
     seen["percent"], seen["stages"] = max(percent), list(stages)
     grab(dock, "installed")
-    dock.install({"WHEEL": JOB["wheel"]})
-    yield from wait(dock)
+    dock.install({"WHEEL": JOB["wheel"], "PYTHON": JOB["python"]})
+    yield from ended(dock)
     seen["from a wheel"] = dock.verdict.text()
-    dock.install({"WHEEL": JOB["wheel"]})
+    dock.install({"WHEEL": JOB["wheel"], "PYTHON": JOB["python"]})
     yield 300
     dock.cancel_button.click()
-    yield from wait(dock)
+    yield from ended(dock)
     seen["cancelled"] = dock.verdict.text()
-
-
-def wait(dock: Any) -> Iterator[int]:
-    """Wait until nothing runs any more."""
-    for _ in range(STEPS):
-        yield 100
-        if dock.start_button.isEnabled():
-            break
-    yield 300
 
 
 go(steps)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import processing
 from qgis.core import QgsProject, QgsRasterLayer, QgsVectorLayer
+from qgis.gui import QgsMapCanvas
 from qgis.PyQt.QtCore import Q_ARG, QMetaObject, Qt, QTimer
 from qgis.PyQt.QtWidgets import (
     QAction,
@@ -24,16 +25,14 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 from qgis.utils import iface
-from steps import JOB, go, grab, seen, wanted
+from steps import JOB, add, go, grab, more_maps, seen, wanted
 
 
 def steps() -> Iterator[int]:
-    """Do one thing after the other; yield how many milliseconds to wait."""
+    """Do one thing after the other; yield how many milliseconds it may take."""
     window = iface.mainWindow()
     window.resize(1400, 860)
-    project = QgsProject.instance()
-    layers = [QgsRasterLayer(JOB[name], Path(JOB[name]).stem) for name in ("reference", "target")]
-    project.addMapLayers(layers)
+    layers = add("reference", "target")
     yield 1500
     yield from toolbox(window)
     yield from look("prove", layers)
@@ -142,6 +141,7 @@ def georeferencer(window: QWidget) -> Iterator[int]:
     yield 1000
     tool = next(w for w in QApplication.topLevelWidgets() if "Georef" in w.metaObject().className())
     tool.resize(1200, 800)
+    more_maps.extend(tool.findChildren(QgsMapCanvas))
     if tool.metaObject().indexOfMethod("openRaster(QString)") < 0:  # newer ones take a file by a dialog only
         return
     QMetaObject.invokeMethod(
