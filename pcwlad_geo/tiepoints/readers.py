@@ -25,6 +25,7 @@ FORMATS: Final = Registry(
         "pcwlad_geo.tiepoints.gdal_csv:GDAL_CSV",
         "pcwlad_geo.tiepoints.asp:ASP",
         "pcwlad_geo.tiepoints.odm:ODM",
+        "pcwlad_geo.tiepoints.metashape:METASHAPE",
         "pcwlad_geo.tiepoints.geopackage:GEOPACKAGE",
     ),
     ("pcwlad_geo.tiepoints.gcps:GCPS", "pcwlad_geo.tiepoints.envi:ENVI"),
@@ -43,7 +44,8 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
     - ENVI `.pts`, image to image or image to map: the header's line "Base Image (x,y), Warp Image (x,y)"
       gives the order; without it the base comes first;
     - `_gcps.csv`: columns column, line, x, y, as GDAL takes them;
-    - `.gcp` of the Ames Stereo Pipeline, `gcp_list.txt` of OpenDroneMap: the points that the target shows;
+    - `.gcp` of the Ames Stereo Pipeline, `gcp_list.txt` of OpenDroneMap, markers of Agisoft Metashape as XML:
+      the points that the target shows;
     - a raster with ground control points.
 
     Raises `InputError` if the format is none of these, a cell is not a number, or there is no point.

@@ -393,6 +393,66 @@ def test_a_damaged_list_of_opendronemap_says_where(
         read_tie_points(path, pair)
 
 
+MARKERS = """<?xml version="1.0" encoding="UTF-8"?>
+<document version="2.0.0"><chunk label="Chunk 1" enabled="true">
+  <cameras next_id="2"><camera id="0" label="left"/><camera id="1" label="{label}"/></cameras>
+  <markers next_id="4">
+    <marker id="0" label="gcp 1"><reference x="{0}" y="{1}" z="310.5" enabled="true"/></marker>
+    <marker id="1" label="gcp 2"><reference x="{2}" y="{3}" z="311" enabled="false"/></marker>
+    <marker id="2" label="tie"/>
+    <marker id="3" label="elsewhere"><reference x="1" y="2" z="3" enabled="true"/></marker>
+  </markers>
+  <frames next_id="1"><frame id="0"><markers>
+    <marker marker_id="0"><location camera_id="0" pinned="true" x="7" y="8"/>
+      <location camera_id="1" pinned="true" x="10" y="20"/></marker>
+    <marker marker_id="1"><location camera_id="1" pinned="false" x="11" y="{row}"/></marker>
+    <marker marker_id="2"><location camera_id="1" pinned="true" x="50" y="60"/></marker>
+    <marker marker_id="3"><location camera_id="1" pinned="0" valid="0"/></marker>
+  </markers></frame></frames>
+  <reference>{crs}</reference>
+</chunk></document>
+"""
+
+
+@pytest.mark.parametrize("label", ["tgt.tif", "tgt"])
+@pytest.mark.parametrize("is_geographic", [False, True])
+def test_markers_of_metashape_are_those_of_the_target(
+    label: str, pair: ViewPair, tmp_path: Path, *, is_geographic: bool
+) -> None:
+    path = tmp_path / "markers.xml"
+    reference_px = np.array([[100.0, 50.0], [300.0, 200.0]])
+    xy, crs = REFERENCE.to_xy(reference_px), REFERENCE.crs
+    if is_geographic:
+        xy, crs = transform_xy(xy, crs, CRS.from_epsg(4326)), CRS.from_epsg(4326)
+    numbers = [f"{value:.12g}" for value in xy.ravel().tolist()]
+    path.write_text(MARKERS.format(*numbers, label=label, row="20.5", crs=crs.to_wkt()))
+    table = read_tie_points(path, pair)
+    np.testing.assert_allclose(table.target_px, [[10.0, 20.0], [11.0, 20.5]], atol=1e-9)
+    np.testing.assert_allclose(table.reference_px, reference_px, atol=1e-3)
+    assert table.status.tolist() == ["matched", "rejected"]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("{label}", "right"), "has markers in left, right, and none in tgt.tif"),
+        (("{row}", "twenty"), "marker 1 in tgt has no numbers as x and y"),
+        (("{crs}", "PROJCS[1]"), "the CRS of its markers is not understood"),
+        (("<reference x", "<place x"), "no marker with coordinates that a photo shows"),
+        (("</chunk>", ""), "cannot be read as XML"),
+    ],
+)
+def test_markers_that_do_not_fit_are_told(
+    change: tuple[str, str], says: str, pair: ViewPair, tmp_path: Path
+) -> None:
+    path = tmp_path / "markers.xml"
+    path.write_text(
+        MARKERS.replace(*change).format(*"1234", label="tgt", row="20.5", crs=REFERENCE.crs.to_wkt())
+    )
+    with pytest.raises(InputError, match=rf"markers\.xml.*{says}"):
+        read_tie_points(path, pair)
+
+
 def test_points_of_asp_are_those_of_the_target(pair: ViewPair, tmp_path: Path) -> None:
     """Pixels count from the middle of the first one, and places are latitude, longitude."""
     path = tmp_path / "two images.gcp"
