@@ -19,7 +19,10 @@ SHARE = 0.95
 
 
 def heat_map(points: core.QgsVectorLayer, place: str) -> core.QgsRasterLayer | None:
-    """Write the map of the points that are not rejected; None where there are too few."""
+    """Write the map of the points that are not rejected; None where there are too few.
+
+    The place ends in ``.tif``: newer QGIS (3.44) writes the format of the name, and can make no ``.asc``.
+    """
     lengths, memory = [], core.QgsVectorLayer("Point?field=residual:double", "residuals", "memory")
     features = []
     for point in points.getFeatures():

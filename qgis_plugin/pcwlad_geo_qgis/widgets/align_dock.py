@@ -467,7 +467,7 @@ class AlignDock(gui.QgsDockWidget):
         if not on and "heat" in self.layers:
             project.removeMapLayer(self.layers["heat"].id())
         elif on and "tie_points" in self.layers:
-            layer = heat_map(self.layers["tie_points"], str(temporary_folder() / "residuals.asc"))
+            layer = heat_map(self.layers["tie_points"], str(temporary_folder() / "residuals.tif"))
             if layer is not None:
                 self.layers["heat"] = project.addMapLayer(layer, False)
                 add_group(self._group, anew=False).insertLayer(0, layer)
