@@ -11,6 +11,8 @@ from urllib.parse import parse_qs
 
 from osgeo import gdal
 from qgis import core
+from qgis.PyQt.QtCore import QSize, Qt, QThread
+from qgis.PyQt.QtGui import QColor, QImage, QPainter
 
 from ..text import tr
 from .rasters import has_place, problem_of
@@ -22,7 +24,15 @@ MARGIN_PX = 64
 RADIUS_PX = 64
 """What the search radius counts here where none is given: a georeferencing may err by more."""
 PART_PX = 1024
-"""Side of the parts that are drawn one after the other: in small ones, QGIS puts some tiles a pixel off."""
+"""Side of the parts that are drawn one after the other."""
+TILE_PX = 256
+"""Side of the tiles of a web map."""
+HAIR_PX = 1e-4
+"""How far a part reaches beyond the tile that it shows, so that rounded numbers put no edge of it outside.
+
+From 3.44 on QGIS draws a tile on the whole pixels that contain it: where several tiles are drawn, or an edge
+is off by 1e-11, it is stretched by a pixel. Of a part that is one tile only the border may be a neighbour's.
+"""
 BLOCK_PX = 64
 """Side of the parts that are looked at: those of one colour show nothing."""
 WORLD_M = 2 * math.pi * 6378137.0
@@ -71,10 +81,8 @@ class Drawing:
         if place is not None:
             x, a, b, y, d, e = place
             corners = [(x + a * c + b * r, y + d * c + e * r) for c in (0, size[0]) for r in (0, size[1])]
-            self.box = core.QgsRectangle()
-            self.box.setMinimal()
-            for corner in corners:
-                self.box.combineExtentWith(*corner)
+            xs, ys = zip(*corners)
+            self.box = core.QgsRectangle(min(xs), min(ys), max(xs), max(ys))
             self.px = math.sqrt(abs(a * e - b * d))
         elif self.is_placed:
             change = core.QgsCoordinateTransform(target.crs(), self.crs, project)
@@ -126,22 +134,16 @@ class Drawing:
 
     def prepare(self, feedback: core.QgsProcessingFeedback) -> bool:
         """Copy the layers, in the thread of the window."""
-        self._project, self._context = core.QgsProject(), core.QgsProcessingContext()
-        self._project.setCrs(self.crs)
-        self._context.setProject(self._project)
-        self._context.setTransformContext(core.QgsProject.instance().transformContext())
-        self._context.setFeedback(feedback)
-        registry = core.QgsApplication.processingRegistry()
-        self._algorithm = registry.createAlgorithmById("native:rasterize")
-        self._given = {
-            "EXTENT": core.QgsReferencedRectangle(self.box, self.crs),
-            "TILE_SIZE": PART_PX,
-            "MAP_UNITS_PER_PIXEL": self.px,
-            "MAKE_BACKGROUND_TRANSPARENT": True,
-            "LAYERS": self.layers,
-        }
-        self._given["OUTPUT"] = "TEMPORARY_OUTPUT"
-        return self._algorithm.prepare(self._given, self._context, feedback)
+        self._copies = [each.clone() for each in self.layers]
+        settings = self._settings = core.QgsMapSettings()
+        settings.setDestinationCrs(self.crs)
+        settings.setTransformContext(core.QgsProject.instance().transformContext())
+        settings.setLayers(self._copies)
+        settings.setBackgroundColor(QColor(0, 0, 0, 0))
+        settings.setFlag(core.Qgis.MapSettingsFlag.RenderMapTile)
+        for copy in self._copies:
+            copy.moveToThread(None)  # the thread that draws takes them
+        return True
 
     def draw(self, place: Path, feedback: core.QgsProcessingFeedback) -> str:
         """Draw into a GeoTIFF, in the thread that works; return its path, or none where it was cancelled.
@@ -152,19 +154,25 @@ class Drawing:
         text = tr("Drawing “{}”: {} × {} pixels of {}")
         feedback.setProgressText(text.format(self.name, self.columns, self.rows, scale))
         place.parent.mkdir(parents=True, exist_ok=True)
-        whole = place.with_name("drawn.tif")  # in whole parts
-        try:
-            self._algorithm.runPrepared({**self._given, "OUTPUT": str(whole)}, self._context, feedback)
+        for copy in self._copies:
+            copy.moveToThread(QThread.currentThread())
+        driver, options = gdal.GetDriverByName("GTiff"), ["COMPRESS=DEFLATE", "TILED=YES"]
+        data = driver.Create(str(place), self.columns, self.rows, 4, options=options)
+        if data is None:
+            raise core.QgsProcessingException(gdal.GetLastErrorMsg())
+        data.SetProjection(self.crs.toWkt())
+        data.SetGeoTransform([self.box.xMinimum(), self.px, 0.0, self.box.yMaximum(), 0.0, -self.px])
+        parts = self._parts()
+        for number, part in enumerate(parts, 1):
+            self._draw_part(data, part, feedback)
+            feedback.setProgress(100 * number / len(parts))
             if feedback.isCanceled():
+                data = None
+                remove(place)
                 return ""
-            needed = {
-                "srcWin": [0, 0, self.columns, self.rows],
-                "creationOptions": ["COMPRESS=DEFLATE", "TILED=YES"],
-            }
-            data = gdal.Translate(str(place), str(whole), **needed)
-            empty = math.nan if data is None else _empty_share(data)
-        finally:
-            remove(whole)
+        self._copies = []
+        data.FlushCache()
+        empty = _empty_share(data)
         if not empty <= 0.5:
             data = None
             remove(place)
@@ -181,6 +189,44 @@ class Drawing:
             if value:
                 data.SetMetadataItem(f"BASEMAP_{key}", value)
         return str(place)
+
+    def _parts(self) -> list[tuple[int, int]]:
+        """Return column and row where the parts begin that are drawn one after the other."""
+        col = row = 0
+        if self._tile_px():  # where tiles begin
+            col = -(round((self.box.xMinimum() + WORLD_M / 2) / self.px) % TILE_PX)
+            row = -(round((WORLD_M / 2 - self.box.yMaximum()) / self.px) % TILE_PX)
+        rows, columns = range(row, self.rows, self._side), range(col, self.columns, self._side)
+        return [(col, row) for row in rows for col in columns]
+
+    def _draw_part(self, data: gdal.Dataset, begin: tuple[int, int], feedback: core.QgsFeedback) -> None:
+        """Draw a square part of the ground, and write what of it is in the raster."""
+        side = self._side
+        x, y = self.box.xMinimum() + begin[0] * self.px, self.box.yMaximum() - begin[1] * self.px
+        square = core.QgsRectangle(x, y - side * self.px, x + side * self.px, y)
+        square.grow(HAIR_PX * self.px)
+        self._settings.setOutputSize(QSize(side, side))
+        self._settings.setExtent(square)
+        image = QImage(side, side, QImage.Format.Format_ARGB32_Premultiplied)
+        image.fill(0)
+        painter = QPainter(image)
+        job = core.QgsMapRendererCustomPainterJob(self._settings, painter)
+        feedback.canceled.connect(job.cancelWithoutBlocking, Qt.ConnectionType.DirectConnection)
+        job.renderSynchronously()
+        painter.end()
+        col, row = (max(each, 0) for each in begin)
+        width, height = min(begin[0] + side, self.columns) - col, min(begin[1] + side, self.rows) - row
+        image = image.copy(col - begin[0], row - begin[1], width, height)
+        image = image.convertToFormat(QImage.Format.Format_RGBA8888)
+        bits, line = image.constBits(), image.bytesPerLine()
+        bits.setsize(line * height)
+        steps = {"buf_pixel_space": 4, "buf_line_space": line, "buf_band_space": 1}
+        data.WriteRaster(col, row, width, height, bytes(bits), **steps)
+
+    @property
+    def _side(self) -> int:
+        """Side of the parts: of a map of tiles each is one tile."""
+        return TILE_PX if self._tile_px() else PART_PX
 
     def _finest(self) -> list[float]:
         """Return the finest pixels that tiles of the layer have, map units; none of other layers."""
