@@ -6,12 +6,9 @@ import ast
 import re
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
-import pytest
+from tests.repository.sources import SOURCES, parsed
 
-PACKAGE = Path(__file__).resolve().parents[2] / "pcwlad_geo"
-MODULES = tuple(sorted(str(path.relative_to(PACKAGE)) for path in PACKAGE.rglob("*.py")))
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 ATOM = r"(?:[\w.]+|\([\w .+*/·-]+\))"
@@ -19,11 +16,6 @@ DIMENSION = rf"(?:\.\.\.|…|{ATOM}(?: ?(?://|[-+*/·]) ?{ATOM})*)"
 SHAPE = re.compile(rf"\((?:{DIMENSION},|{DIMENSION}(?:, {DIMENSION})+)\)")
 AXIS_ORDERS = {"(col, row)", "(row, col)", "(x, y)", "(y, x)", "(0, 0)", "(0.5, 0.5)", "(1, 1)", "(lon, lat)"}
 HEADING = re.compile(r"^(\w+(?: \w+)?)\n-{3,}$", re.MULTILINE)
-
-
-@cache
-def parsed(module: str) -> ast.Module:
-    return ast.parse((PACKAGE / module).read_text(encoding="utf-8"))
 
 
 def aliases(module: str) -> dict[str, set[str]]:
@@ -37,15 +29,21 @@ def aliases(module: str) -> dict[str, set[str]]:
 
 
 @cache
-def array_types(module: str) -> frozenset[str]:
-    """Return the names of the array types in a module: numpy's, and the package's aliases of them."""
+def array_names() -> frozenset[str]:
+    """Return the names of the array types of all modules: numpy's, and the package's aliases of them."""
     found = {"NDArray", "ndarray"}
-    every = [item for each in MODULES for item in aliases(each).items()]
+    every = [item for each in SOURCES for item in aliases(each).items()]
     for _ in range(3):  # aliases of aliases
         found |= {name for name, parts in every if parts & found and "Callable" not in parts}
-    trees = [parsed(each) for each in MODULES]
-    found -= {node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)}
-    return frozenset(found - {name for name, parts in aliases(module).items() if not parts & found})
+    nodes = [node for each in SOURCES for node in parsed(each).body]
+    return frozenset(found - {node.name for node in nodes if isinstance(node, ast.ClassDef)})
+
+
+@cache
+def array_types(module: str) -> frozenset[str]:
+    """Return the names of the array types in a module, where a name may stand for something else."""
+    others = {name for name, parts in aliases(module).items() if not parts & array_names()}
+    return array_names() - others
 
 
 def names_in(node: ast.AST | None) -> set[str]:
@@ -129,24 +127,27 @@ def constants(module: str) -> Iterator[tuple[str, str]]:
             yield name, " ".join(str(text).split())
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_docstrings_give_the_shape_of_every_array(module: str) -> None:
-    lacking = {name: list(shapeless(function, module)) for name, function in public_functions(module)}
+def test_docstrings_give_the_shape_of_every_array() -> None:
+    lacking = {
+        f"{module}.{name}": list(shapeless(function, module))
+        for module in SOURCES
+        for name, function in public_functions(module)
+    }
     assert {name: arrays for name, arrays in lacking.items() if arrays} == {}
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_every_constant_has_one_value_and_a_sentence_of_its_own(module: str) -> None:
-    named = list(constants(module))
-    assert [name for name, said in named if not re.fullmatch(r"[^a-z\s].*[.]", said)] == []
-    assert len(dict(named)) == len(named)
+def test_every_constant_has_one_value_and_a_sentence_of_its_own() -> None:
+    for module in SOURCES:
+        named = list(constants(module))
+        assert [name for name, said in named if not re.fullmatch(r"[^a-z\s].*[.]", said)] == [], module
+        assert len(dict(named)) == len(named), module
 
 
 def test_the_checks_can_fail() -> None:
     def arrays_of(docstring: str) -> list[str]:
         code = f'def f(first_px: Float64, second: Float64 | None) -> Float64:\n    """{docstring}"""\n'
         return list(
-            shapeless(next(node for node in ast.parse(code).body if isinstance(node, Function)), MODULES[0])
+            shapeless(next(node for node in ast.parse(code).body if isinstance(node, Function)), "pcwlad_geo")
         )
 
     assert arrays_of("Return the (n,) sums of the (n, 2) points `first_px` and `second`.") == []
