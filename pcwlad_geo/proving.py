@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from concurrent.futures import Executor
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, get_args
 
+from rasterio.errors import NotGeoreferencedWarning
+
 from pcwlad_geo.arguments import checked, fits, shown
+from pcwlad_geo.basemaps.services import is_service
 from pcwlad_geo.correction import Effort
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.events import EventCallback, ignore
@@ -27,6 +32,8 @@ from pcwlad_geo.job import open_job_runner, output_folder
 
 PROOF_NAMES: Final = {"numbers": "proof.json", "report": "proof.html"}
 """File names of a proof."""
+BASEMAP: Final = "basemap.tif"
+"""File name of what is fetched of a web map."""
 
 
 @checked("reference", "target", "effort")
@@ -50,7 +57,7 @@ def prove(
     Parameters
     ----------
     reference, target : path or rasterio dataset
-        As for `register`.
+        As for `register`; the reference may be a web map.
     effort : {"quick", "full"}
         quick: a sample of the points; full: more points and moves, and how much a part of the pair tolerates.
     out_dir : path, optional
@@ -80,24 +87,33 @@ def prove(
     RegistrationRejectedError
         If the pair cannot be matched reliably; nothing is written.
     """
-    inputs, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
+    names, settings = (file_of(reference), file_of(target)), Settings.from_options(options)
     if not fits(effort, Effort):
         raise SettingsError(f"effort = {shown(effort)}: give one of {', '.join(get_args(Effort))}")
     place = OutputFolder(
-        output_folder(inputs[1], "proof", out_dir),
+        output_folder(names[1], "proof", out_dir),
         overwrite=overwrite,
         results=PROOF_NAMES["numbers"],
-        inputs=[*inputs, *settings.files],
+        inputs=[*names, *settings.files],
     )
-    with trusting(settings.trust), place as folder, open_job_runner(settings, executor, on_event) as runner:
-        from pcwlad_geo.registration import prove_pair  # slow to load
+    with warnings.catch_warnings(), trusting(settings.trust), place as folder:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # of tiles; before there are threads
+        from pcwlad_geo.registration import prove_pair, resolve  # slow to load
         from pcwlad_geo.report.json_content import to_json
         from pcwlad_geo.report.proof_page import proof_page
         from pcwlad_geo.report.summary import proof_numbers
 
-        registration, proof = prove_pair(*inputs, settings, effort, on_event=on_event, runner=runner)
+        read, files = names, sorted(PROOF_NAMES.values())
+        if is_service(names[0]):
+            from pcwlad_geo.basemaps.fetching import fetch
+
+            read, files = (str(folder.path(BASEMAP)), names[1]), sorted([BASEMAP, *files])
+            settings = fetch(names[0], resolve(*names, settings), Path(read[0]), on_event)
+        with open_job_runner(settings, executor, on_event) as runner:
+            registration, proof = prove_pair(*read, settings, effort, on_event=on_event, runner=runner)
+        told = registration if read == names else registration.fetched_to(folder.final_path(BASEMAP))
         with folder.writing():
-            content = proof_numbers(registration, proof, sorted(PROOF_NAMES.values()))
+            content = proof_numbers(told, proof, files)
             texts = {"report": proof_page(registration, proof), "numbers": to_json(content)}
             for kind, text in texts.items():
                 folder.path(PROOF_NAMES[kind]).write_text(text, encoding="utf-8", newline="")

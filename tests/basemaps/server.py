@@ -33,6 +33,28 @@ VRT = (
 SIDE_M = 2 * np.pi * 6378137.0 / 2**ZOOM
 
 
+MATRIX = """<TileMatrix><ows:Identifier>z{}</ows:Identifier><ScaleDenominator>{}</ScaleDenominator>
+<TopLeftCorner>-20037508.342789 20037508.342789</TopLeftCorner><TileWidth>256</TileWidth>
+<TileHeight>256</TileHeight><MatrixWidth>{}</MatrixWidth><MatrixHeight>{}</MatrixHeight></TileMatrix>"""
+LAYER = """<Capabilities xmlns="http://www.opengis.net/wmts/1.0" xmlns:ows="http://www.opengis.net/ows/1.1">
+<Contents><Layer><ows:Title>Orthophoto</ows:Title><ows:Identifier>ortho</ows:Identifier>
+<Style><ows:Identifier>default</ows:Identifier></Style>
+<Dimension><ows:Identifier>Time</ows:Identifier><Default>2020</Default></Dimension>
+<TileMatrixSetLink><TileMatrixSet>google</TileMatrixSet></TileMatrixSetLink>
+<ResourceURL resourceType="tile"
+ template="{}/ortho/{{Style}}/{{Time}}/{{TileMatrixSet}}/{{TileMatrix}}/{{TileCol}}/{{TileRow}}.png"/></Layer>
+<TileMatrixSet><ows:Identifier>google</ows:Identifier>
+<ows:SupportedCRS>urn:ogc:def:crs:EPSG::3857</ows:SupportedCRS>"""
+
+
+def capabilities(address: str) -> str:
+    """Return the capabilities of a WMTS with the tiles of the map."""
+    matrices = "".join(
+        MATRIX.format(zoom, 559082264.0287178 / 2**zoom, 2**zoom, 2**zoom) for zoom in range(ZOOM + 1)
+    )
+    return f"{LAYER.format(address)}{matrices}</TileMatrixSet></Contents></Capabilities>"
+
+
 def map_grid() -> Grid:
     """Return the grid of all tiles at their zoom."""
     left, top = FIRST[0] * SIDE_M - SIDE_M * 2**ZOOM / 2, SIDE_M * 2**ZOOM / 2 - FIRST[1] * SIDE_M
@@ -62,6 +84,8 @@ class MapServer:
         time.sleep(0.01)
         if self.trouble == "refused":
             return 403, b"no"
+        if path == "/wmts.xml":
+            return 200, capabilities(self.address).encode()
         query = dict(parse_qsl(urlsplit(path).query))
         with rasterio.open(self.raster) as file:
             if "BBOX" in query:
@@ -74,7 +98,9 @@ class MapServer:
                     2048 + row : 2048 + row_stop, 2048 + col : 2048 + col_stop
                 ]
                 return 200, _png(np.array(Image.fromarray(padded).resize(size[::-1])))
-            zoom, col, row = (int(part.partition(".")[0]) for part in urlsplit(path).path.split("/")[-3:])
+            zoom, col, row = (
+                int(part.partition(".")[0].lstrip("z")) for part in urlsplit(path).path.split("/")[-3:]
+            )
             col, row = col - FIRST[0], row - FIRST[1]
             lacking = self.trouble == "half" and (col + row) % 3 != 0
             if zoom != ZOOM or not (0 <= col < TILES and 0 <= row < TILES) or lacking:

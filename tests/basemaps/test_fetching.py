@@ -21,7 +21,7 @@ from pcwlad_geo.job import match_files
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Grid
 from pcwlad_geo.registration import prepare_pair
-from tests.basemaps.server import ZOOM, MapServer, map_grid, serving
+from tests.basemaps.server import ZOOM, MapServer, capabilities, map_grid, serving
 from tests.scenes import make_grid, render, write
 
 SMALL: Any = {"template": 61, "window": 41, "features": 150, "model": "shift"}
@@ -121,6 +121,41 @@ def test_a_wms_is_fetched_too(files: tuple[Path, Path, Path], server: MapServer)
     assert {path.partition("BBOX")[2] for path in set(server.asked)} == {
         path.partition("BBOX")[2] for path in before
     }
+
+
+def test_a_wmts_is_fetched_by_its_capabilities(files: tuple[Path, Path, Path], server: MapServer) -> None:
+    name = f"WMTS:{server.address}/wmts.xml,layer=ortho"
+    found = pcwlad_geo.register(name, files[1], out_dir="map", allow_remote=True, **SMALL)
+    by_tiles = pcwlad_geo.register(server.xyz, files[1], out_dir="tiles", allow_remote=True, **QUICK)
+    assert found.reference.basemap.name == f"{server.address}/wmts.xml (Orthophoto)"
+    assert server.asked["/wmts.xml"] == 1
+    tiles = {path for path in server.asked if path.startswith(f"/ortho/default/2020/google/z{ZOOM}/")}
+    assert len(tiles) == sum(path.startswith(f"/tiles/{ZOOM}/") for path in server.asked) > 1
+    np.testing.assert_allclose(place_of("map"), place_of("tiles"), atol=0.01 * 28.6)
+    np.testing.assert_allclose(np.median(found.tie_points.displacement_px, axis=0), SHIFT_PX, atol=0.15)
+    assert by_tiles.reference.basemap.pixel_m == pytest.approx(found.reference.basemap.pixel_m)
+    with pytest.raises(pcwlad_geo.InputError, match="no such layer; give layer=ortho"):
+        match_files(f"{name}2", files[1], out_dir="none", allow_remote=True, **QUICK)
+    server.trouble = "refused"
+    with pytest.raises(pcwlad_geo.InputError, match=r"wmts\.xml cannot be fetched"):
+        match_files(name, files[1], out_dir="none", allow_remote=True, **QUICK)
+    assert not Path("none").exists()
+
+
+def test_the_error_on_a_web_map_is_proved(
+    files: tuple[Path, Path, Path], server: MapServer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["prove", server.xyz, str(files[1]), "-o", "proof", *OPTIONS, "--ref-zoom", str(ZOOM)]
+    assert run([word for word in command if word != "--allow-remote"]) == 2
+    assert "give --allow-remote" in " ".join(capsys.readouterr().err.split())
+    assert not Path("proof").exists()
+    assert run(command) == 0
+    numbers = json.loads(Path("proof/proof.json").read_text(encoding="utf-8"))
+    assert numbers["outputs"] == ["basemap.tif", "proof.html", "proof.json"]
+    assert numbers["reference"]["path"] == str(Path("proof/basemap.tif").absolute())
+    assert numbers["reference"]["basemap"]["name"].startswith(server.address)
+    assert numbers["rmse_px"] < 0.3
+    assert "secret" not in Path("proof/proof.json").read_text(encoding="utf-8")
 
 
 def test_where_to_look_must_be_said_for_a_photo(files: tuple[Path, Path, Path], server: MapServer) -> None:
@@ -224,12 +259,12 @@ def test_what_cannot_be_fetched_is_refused_before(files: tuple[Path, Path, Path]
 def test_capabilities_of_a_wmts_give_the_tiles_of_xyz() -> None:
     def read(address: str) -> bytes:
         assert address == "http://host/wmts.xml"
-        return CAPABILITIES.encode()
+        return capabilities("http://host").encode()
 
     service = find_service("WMTS:http://host/wmts.xml,layer=ortho,tilematrixset=google", read)
     tiles = find_service("xyz:http://host/{z}/{x}/{y}.png", read)
     assert service.name == "http://host/wmts.xml (Orthophoto)"
-    assert service.url(2, 1, 3) == "http://host/ortho/default/2020/google/z2/1/3.png"
+    assert service.url(2, 1, 3) == "http://host/ortho/default/2020/google/z2/3/1.png"
     np.testing.assert_allclose(service.level(1).transform, tiles.level(1).transform, atol=1e-3)
     assert service.level(2).shape == tiles.level(2).shape
     for wrong, said in (
@@ -240,24 +275,6 @@ def test_capabilities_of_a_wmts_give_the_tiles_of_xyz() -> None:
             find_service(f"WMTS:http://host/wmts.xml,{wrong}", read)
     with pytest.raises(pcwlad_geo.InputError, match="no XML"):
         find_service("WMTS:http://host/wmts.xml", lambda address: b"<!DOCTYPE a><a/>")
-
-
-MATRIX = """<TileMatrix><Identifier>z{}</Identifier><ScaleDenominator>{}</ScaleDenominator>
-<TopLeftCorner>-20037508.342789 20037508.342789</TopLeftCorner><TileWidth>256</TileWidth>
-<TileHeight>256</TileHeight><MatrixWidth>{}</MatrixWidth><MatrixHeight>{}</MatrixHeight></TileMatrix>"""
-CAPABILITIES = (
-    """<Capabilities xmlns="http://www.opengis.net/wmts/1.0" xmlns:ows="http://www.opengis.net/ows/1.1"><Contents>
-<Layer><ows:Title>Orthophoto</ows:Title><ows:Identifier>ortho</ows:Identifier>
-<Style><ows:Identifier>default</ows:Identifier></Style>
-<Dimension><ows:Identifier>Time</ows:Identifier><Default>2020</Default></Dimension>
-<TileMatrixSetLink><TileMatrixSet>google</TileMatrixSet></TileMatrixSetLink>
-<ResourceURL resourceType="tile"
- template="http://host/ortho/{Style}/{Time}/{TileMatrixSet}/{TileMatrix}/{TileRow}/{TileCol}.png"/></Layer>
-<TileMatrixSet><ows:Identifier>google</ows:Identifier><ows:SupportedCRS>urn:ogc:def:crs:EPSG::3857</ows:SupportedCRS>
-"""
-    + "".join(MATRIX.format(zoom, 559082264.0287178 / 2**zoom, 2**zoom, 2**zoom) for zoom in range(3))
-    + "</TileMatrixSet></Contents></Capabilities>"
-)
 
 
 def test_a_drawn_map_is_said_to_be_one(files: tuple[Path, Path, Path], tmp_path: Path) -> None:
