@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Final, Literal, TypedDict
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.arguments import checked
-from pcwlad_geo.basemaps.services import is_service
+from pcwlad_geo.basemaps.composed import compose, composed_as, resolvable
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.execution.workers import open_runner
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.files import outputs
+from pcwlad_geo.outputs.files import OUTPUT_NAMES, outputs
 from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.write import Written, write
@@ -91,7 +91,7 @@ class PairJob:
         """
         if settings.no_report and places.get("output_report") is not None:
             raise SettingsError("output_report names a page that no_report leaves out: give one of them")
-        inputs = resolve(*names, settings, all_bands=command == "register")
+        inputs = resolve(resolvable(names[0]), names[1], settings, all_bands=command == "register")
         folder = output_folder(names[1], JOB_OF[command], places.get("out_dir"))
         inside = output_paths(inputs.target_file, command, settings.of, folder)
         elsewhere = {
@@ -309,19 +309,23 @@ def write_pair(
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         job = PairJob.of(command, names, settings, places, overwrite=overwrite)
         _check_outputs(job)
-        with OutputFolder(job.folder, overwrite=overwrite, inputs=job.files) as folder:
+        composed = composed_as(names[0])
+        with (
+            OutputFolder(job.folder, overwrite=overwrite, inputs=job.files) as folder,
+            trusting(replace(settings.trust, composed=str(folder.path(OUTPUT_NAMES["tiles"])))),
+        ):
             staged = {
                 kind: folder.stage / place.name if kind in job.elsewhere else folder.path(place.name)
                 for kind, place in job.inside.items()
             }
             bands = job.band_paths(folder)
-            if is_service(names[0]) and registration is None:
-                job = _with_basemap(job, staged["basemap"], on_event)
+            if composed and registration is None:
+                job = _with_reference(job, staged[composed], on_event)
             if registration is None:
                 registration = _run(job, executor, on_event if settings.no_report else _preloading(on_event))
             read_from = registration.inputs
-            if is_service(names[0]):
-                registration = registration.fetched_to(job.places["basemap"])
+            if composed:
+                registration = registration.fetched_to(job.places[composed])
             # inside: slow to load, which `_preloading` may have done
             from pcwlad_geo.pair_requirements import judge_requirements
 
@@ -338,11 +342,9 @@ def write_pair(
     return _reliable(_at_places(job, registration, written, bands))
 
 
-def _with_basemap(job: PairJob, path: Path, on_event: EventCallback) -> PairJob:
-    """Fetch the web map that is the reference of a job; return the job with the file instead."""
-    from pcwlad_geo.basemaps.fetching import fetch  # slow to load, and rarely needed
-
-    settings = fetch(job.names[0], job.inputs, path, on_event)
+def _with_reference(job: PairJob, path: Path, on_event: EventCallback) -> PairJob:
+    """Compose the reference of a job from a web map or tiles; return the job with the file instead."""
+    settings = compose(job.names[0], job.inputs, path, on_event)
     inputs = resolve(str(path), job.names[1], settings, all_bands=job.command == "register")
     if job.command == "register":
         check_output(inputs)
@@ -380,7 +382,7 @@ def _check_outputs(job: PairJob) -> None:
     check_outputs([*job.places.values()], job.files)
     check_outputs([*job.elsewhere.values()], overwrite=job.overwrite)
     OutputFormat.of(job.settings.of, job.settings.co)
-    if job.command == "register" and not is_service(job.names[0]):
+    if job.command == "register" and composed_as(job.names[0]) is None:
         check_output(job.inputs)
 
 

@@ -165,7 +165,12 @@ _SHIFTED: Final = Condition(
     "shift or affine, of a target with georeferencing", _in_geotransform, corrected=True
 )
 _PLACED: Final = Condition("with `--write-placed`", lambda job: job.settings.write_placed)
-_FETCHED: Final = Condition("a web map as reference", lambda job: job.fetched is not None)
+_FETCHED: Final = Condition(
+    "a web map as reference", lambda job: job.fetched is not None and not job.fetched.uri.endswith(".vrt")
+)
+_TILES: Final = Condition(
+    "tiles as reference", lambda job: job.fetched is not None and job.fetched.uri.endswith(".vrt")
+)
 _RPC: Final = Condition("a target with RPCs", lambda job: job.rpc is not None, corrected=True)
 _SIGMA: Final = Condition("with `--write-sigma`", lambda job: job.settings.write_sigma, corrected=True)
 _FIELD: Final = Condition(
@@ -185,6 +190,7 @@ OUTPUTS: Final = (
         "corrected", "{stem}_corrected.vrt", _SHIFTED, "the target with corrected georeferencing", _corrected
     ),
     Output("basemap", "basemap.tif", _FETCHED, "what was fetched of a web map"),
+    Output("tiles", "reference.vrt", _TILES, "the tiles of the reference that show ground of the target"),
     Output("placed", "{stem}_placed.vrt", _PLACED, "the target as `--place` puts it", _placed),
     Output("rpc", "{stem}_rpc.vrt", _RPC, "the original target with the corrected RPC", _rpc),
     Output("rpc_text", "{stem}_rpc_RPC.TXT", _RPC, "the corrected RPC as text", _rpc_text),

@@ -74,7 +74,7 @@ def _search(path: PathLike) -> Product | None:
     place = Path(path)
     try:
         if place.is_dir():
-            return _in_tree(tree_of(place)) if _may_hold_product(place) else None
+            return _in_tree(tree_of(place)) if may_hold_product(place) else None
         if not place.is_file():
             return None
     except (OSError, ValueError):  # a GDAL URI that is not a path
@@ -125,7 +125,7 @@ def stem_of(path: PathLike) -> str:
     return shortened if shortened != place.name else place.stem if not is_folder(place) else place.name
 
 
-def _may_hold_product(folder: Path) -> bool:
+def may_hold_product(folder: Path) -> bool:
     """Whether a folder may hold a product; others, such as the root of a disk, are not listed completely."""
     names = [entry.name for entry in folder.iterdir()]
     return any(KINDS.ask(lambda kind: any(map(kind.marks, names)), bool))
@@ -196,7 +196,7 @@ def no_product(path: str, band: str | None = None) -> str | None:
 
 def _folder(folder: Path) -> str:
     names = [entry.name for entry in folder.iterdir()]
-    if _may_hold_product(folder):
+    if may_hold_product(folder):
         names += [name_in(name) for name in tree_of(folder).names]
     part = next(KINDS.ask(lambda kind: kind.part(names), str), None)
     return (

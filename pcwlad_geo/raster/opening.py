@@ -48,6 +48,8 @@ def open_for_reading(uri: str, **options: object) -> DatasetReader:
     options are GDAL's.
     """
     trust, address = current_trust(), destination(uri)
+    if trust.composed and uri == trust.composed:
+        return _dataset_of(uri, ["VRT"], options)
     if address.where == "network" and not trust.remote:
         raise TrustError(f"{uri} is read over a network: give --allow-remote to allow that")
     if trust.vrt:
@@ -67,6 +69,15 @@ def open_for_reading(uri: str, **options: object) -> DatasetReader:
     except UntrustedFileError as error:
         raise TrustError(f"{uri} is not opened, as {error}: {TRUST_VRT}") from error
     return dataset
+
+
+def check_source(path: str) -> None:
+    """Raise `TrustError` if a file must not be opened by GDAL itself, as a source of a VRT of ours."""
+    try:
+        if not current_trust().vrt:
+            check_file(place_of(destination(path)), any_driver=True)
+    except UntrustedFileError as error:
+        raise TrustError(f"{path} is not opened, as {error}: {TRUST_VRT}") from error
 
 
 def open_own(path: str | os.PathLike[str], **options: object) -> DatasetReader:

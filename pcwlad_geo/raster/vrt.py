@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.parsers import expat
 
 import numpy as np
@@ -19,7 +20,7 @@ from rasterio.io import DatasetReader
 
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.raster.grid import Grid
-from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.opening import check_source, open_raster
 from pcwlad_geo.raster.trust.signing import unsigned
 
 # Georeferencing that a corrected raster must not inherit, and domains that GDAL derives by itself or would
@@ -166,6 +167,44 @@ def describe_pixels(source: DatasetReader, pixels: PixelFile, shape: tuple[int, 
     if pixels.has_mask:
         mask = ET.SubElement(ET.SubElement(tree, "MaskBand"), "VRTRasterBand", dataType="Byte")
         mask.append(_pixels_of("mask,1", pixels, shape))
+    return tree
+
+
+class MosaicFile(NamedTuple):
+    """A file of a mosaic."""
+
+    name: str
+    """Absolute path."""
+    shape: tuple[int, int]
+    """Rows and columns."""
+    first_px: tuple[int, int]
+    """Where its first pixel lies in the mosaic (col, row)."""
+
+
+def describe_mosaic(source: DatasetReader, files: Sequence[MosaicFile], shape: tuple[int, int]) -> ET.Element:
+    """Return the VRT of files of `shape` rows and columns together, without georeferencing.
+
+    The bands are those of the open `source`, one of them. Without nodata and alpha a mask tells where there
+    is no file. Raises `TrustError` if GDAL may not open one of them by itself.
+    """
+    for file in files:
+        check_source(file.name)
+    masked = all(value is None for value in source.nodatavals) and not has_alpha(source)
+    tree = describe_pixels(source, PixelFile("", False, masked), shape)
+    for metadata in tree.findall("Metadata"):  # of one file
+        tree.remove(metadata)
+    for band in tree.iter("VRTRasterBand"):
+        template = band.find("SimpleSource")
+        if template is None:
+            continue
+        band.remove(template)
+        number = template.findtext("SourceBand") or "1"
+        for file in files:
+            part = _pixels_of(number, PixelFile(file.name, False, masked), file.shape)
+            place = part.find("DstRect")
+            if place is not None:
+                place.attrib |= {"xOff": str(file.first_px[0]), "yOff": str(file.first_px[1])}
+            band.append(part)
     return tree
 
 

@@ -263,10 +263,12 @@ class Registration(Shown):
     """The files written, by kind: raster, report, tiepoints, and so on; none where nothing was."""
 
     def fetched_to(self, place: Path) -> Registration:
-        """Return it with the final place of a reference that was fetched, as its files name it."""
-        final = str(place.absolute())
+        """Return it with the final place of a reference that was composed, as its files name it."""
+        final, staged = str(place.absolute()), str(Path(self.reference.uri).absolute())
         inputs = tuple(
-            replace(file, identity=replace(file.identity, path=final)) if file.role == "reference" else file
+            replace(file, identity=replace(file.identity, path=final))
+            if file.identity.path == staged
+            else file
             for file in self.inputs
         )
         return replace(

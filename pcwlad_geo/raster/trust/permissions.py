@@ -19,6 +19,8 @@ class Trust:
     """All files that a raster names, wherever they are, and formats whose files name others."""
     sign: str = ""
     """Function of the user that signs addresses, ``module:function``; empty: none does."""
+    composed: str = ""
+    """VRT that this program has written of rasters that were checked, wherever they are; empty: none."""
 
 
 _current: Final[ContextVar[Trust]] = ContextVar("pcwlad_geo_trust", default=Trust())  # noqa: B039  # frozen
