@@ -105,7 +105,8 @@ def busy() -> bool:
 def _dock_is_busy(dock: Any) -> bool:
     """Return whether the dock draws beside the maps, or waits for an engine."""
     ghost, editor = dock.place.ghost, dock.editor
-    jobs = [dock.swipe._job, *dock.views.composite._jobs, *([ghost._job] if ghost else [])]
+    ghosts = [ghost, editor and editor.live.ghost]
+    jobs = [dock.swipe._job, *dock.views.composite._jobs, *(each._job for each in ghosts if each)]
     asked = editor is not None and (editor._shown_number < editor._number or "…" in editor.told.text())
     used = editor is not None and editor._using is not None
     starts = editor is not None and not editor.isEnabled()  # that may take longer than anything it is asked

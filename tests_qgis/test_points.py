@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import Finished
 from osgeo import gdal
-from test_window import run_in_window
+from test_window import PICTURES, keep_pictures, run_in_window
 
 WRONG_PX = (60.0, -45.0)
 
@@ -41,7 +41,10 @@ def seen(
     Path(places["points"]).write_text("\n".join(lines) + "\n", encoding="utf-8")
     places["nonsense"] = str(folder / "notes.txt")
     Path(places["nonsense"]).write_text("buy milk\n", encoding="utf-8")
-    return run_in_window("points.py", profile, folder, places)
+    found = run_in_window("points.py", profile, folder, places)
+    if PICTURES:
+        keep_pictures(folder, Path(PICTURES))
+    return found
 
 
 def test_a_file_without_points_is_told(seen: dict[str, Any]) -> None:
@@ -66,3 +69,17 @@ def test_the_fit_is_that_of_matching_then_and_can_be_taken_back(seen: dict[str, 
     assert after < min(before, 0.5)
     assert back == pytest.approx(before)
     assert seen["undone"] >= 10
+
+
+def test_the_layer_lies_over_the_map_and_moves_with_each_edit(seen: dict[str, Any]) -> None:
+    """The sample's thermal band belongs 1.2 px to the left and 0.75 px lower, of 30 m."""
+    before, with_wrong, refined, back = seen["live"]
+    assert refined[:2] == [pytest.approx(-37, abs=8), pytest.approx(-23, abs=8)]
+    assert refined[2:] == [pytest.approx(1, abs=0.005), pytest.approx(1, abs=0.005)]
+    assert back == pytest.approx(before)
+    assert with_wrong == pytest.approx(before, rel=1e-5)  # the fit gives it no weight
+    assert np.hypot(refined[0] - before[0], refined[1] - before[1]) > 5
+    assert seen["live_shift"] == pytest.approx([seen["live_shift"][0], 1, 0, seen["live_shift"][3], 0, 1])
+    assert seen["live_left"] == [True, False]  # another page took it away
+    assert seen["live_without_points"] is False
+    assert seen["live_closed"] == 0

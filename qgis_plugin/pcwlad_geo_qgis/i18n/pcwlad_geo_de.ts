@@ -1936,6 +1936,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Macht sie noch einmal (Strg+Umschalt+Z).</translation>
     </message>
     <message>
+      <source>Shows the layer over the map, where the fit puts it: it moves with each change.</source>
+      <translation>Zeigt den Layer über der Karte, wo die Anpassung ihn hinlegt: Er wandert mit jeder Änderung.</translation>
+    </message>
+    <message>
+      <source>Over the map</source>
+      <translation>Über der Karte</translation>
+    </message>
+    <message>
       <source>Click a point on either map: its row is selected.</source>
       <translation>Klicken Sie einen Punkt auf einer der beiden Karten an: Seine Zeile wird ausgewählt.</translation>
     </message>

@@ -185,6 +185,15 @@ class Points:
         used = [each for row, each in enumerate(self.points) if row not in self.off | self.gone]
         return affine_of([(*each.target_px, each.x, each.y) for each in used])
 
+    def fitted(self) -> Affine | None:
+        """Return the affine function from target pixels to the map that is nearest to the last fit."""
+        rows = []
+        for row, each in enumerate(self.points):
+            predicted = [a + b for a, b in zip(each.target_px, each.residual_px)]
+            if row not in self.gone and all(map(math.isfinite, predicted)):
+                rows.append((*predicted, each.x, each.y))
+        return affine_of(rows)
+
     def status(self, index: int) -> str:
         """Return what a point counts as now."""
         return "gone" if index in self.gone else "rejected" if index in self.off else "fit"

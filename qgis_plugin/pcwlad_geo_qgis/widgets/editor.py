@@ -14,6 +14,7 @@ from ..help import IMPROVED, MODELS, NO_MATCH
 from ..model.results import FrameLayer, PointLayer
 from ..process.points import Points
 from ..text import tr
+from .live import LiveLayer
 from .pair_maps import Pair, PairMaps
 from .points_table import PointsModel, SortedPoints
 from .session import Session
@@ -59,6 +60,7 @@ class PointEditor(QtWidgets.QWidget):
         self._frame = FrameLayer(*shown) if self.maps.own_frame else None
         self._build()
         self._session.answered.connect(self._take)
+        self.live = LiveLayer(self.live_button, canvas, pair, self.points)
 
     def _build(self) -> None:
         uic.loadUi(str(Path(__file__).with_name("editor.ui")), self)
@@ -229,6 +231,7 @@ class PointEditor(QtWidgets.QWidget):
         self._arrows_of = answer["model"]
         if self._frame is not None:
             self._frame.refresh()
+        self.live.follow()
         QtCore.QTimer.singleShot(0, self._refresh_table)  # the map is drawn meanwhile
         fitted = tr("{}: RMSE {:.3f} px at {} check points; {} points are on").format(
             _title(answer["model"]), answer["rmse_px"], answer["checked"], answer["points"]
