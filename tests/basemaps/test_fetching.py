@@ -158,6 +158,19 @@ def test_the_error_on_a_web_map_is_proved(
     assert "secret" not in Path("proof/proof.json").read_text(encoding="utf-8")
 
 
+def test_a_stack_takes_what_was_fetched(files: tuple[Path, Path, Path], server: MapServer) -> None:
+    other_px = np.array([-1.6, 2.2])
+    other = write(Path("other.tif"), render(TARGET, "red", displacement_px=other_px), TARGET)
+    options: Any = {**SMALL, "allow_remote": True}
+    with pytest.raises(pcwlad_geo.InputError, match=r"a web map, which a stack does not fetch.*basemap\.tif"):
+        pcwlad_geo.stack([files[1], other], reference=server.xyz, out_dir="stack", **options)
+    assert not server.asked
+    match_files(server.xyz, files[1], out_dir="map", allow_remote=True, **QUICK)
+    result = pcwlad_geo.stack([files[1], other], reference="map/basemap.tif", out_dir="stack", **SMALL)
+    shifts_px = [image.shift_px for image in result.images if image.name != "basemap"]
+    np.testing.assert_allclose(shifts_px, [SHIFT_PX, other_px], atol=0.15)
+
+
 def test_where_to_look_must_be_said_for_a_photo(files: tuple[Path, Path, Path], server: MapServer) -> None:
     photo = files[2]
     with pytest.raises(pcwlad_geo.InputError, match=r"no georeferencing.*--extent.*--place.*EPSG:3857"):

@@ -1664,8 +1664,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Neben dem Layer</translation>
     </message>
     <message>
-      <source>Tie points (*.points *.csv *.pts *.txt)</source>
-      <translation>Verknüpfungspunkte (*.points *.csv *.pts *.txt)</translation>
+      <source>Tie points (*.points *.csv *.pts *.txt *.xml)</source>
+      <translation>Verknüpfungspunkte (*.points *.csv *.pts *.txt *.xml)</translation>
     </message>
     <message>
       <source>Wheel of pcwlad-geo</source>

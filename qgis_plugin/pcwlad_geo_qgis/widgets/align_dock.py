@@ -241,7 +241,7 @@ class AlignDock(gui.QgsDockWidget):
         self._begin([self._sure(each) for each in jobs])
 
     def _choose_points(self, then: Callable[[str], None]) -> None:
-        asked, kinds = tr("Tie points of a file"), tr("Tie points (*.points *.csv *.pts *.txt)")
+        asked, kinds = tr("Tie points of a file"), tr("Tie points (*.points *.csv *.pts *.txt *.xml)")
         path, _ = QtWidgets.QFileDialog.getOpenFileName(self, asked, "", kinds)
         if path:
             then(path)
