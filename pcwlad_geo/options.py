@@ -80,7 +80,7 @@ FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*$")
 """Pattern of the name of a function and its module."""
 _REGISTER: Final = ("register",)
 _PAIR: Final = ("register", "match", "prove")
-_PLACED: Final = (*_PAIR, "stack")
+_PLACING: Final = (*_PAIR, "stack")
 _WRITING: Final = ("register", "match")
 _REPORTING: Final = ("register", "match", "qa")
 _PROVING: Final = (*_REPORTING, "stack")
@@ -216,19 +216,19 @@ class Settings:
         most=LIMITS.basemap_zoom,
     )
     dem: Path | str | None = option(
-        None, "Heights of the ground, for images with RPCs.", _PLACED, metavar="FILE"
+        None, "Heights of the ground, for images with RPCs.", _PLACING, metavar="FILE"
     )
     dem_vertical: float | Path | str | None = option(
         None,
         "Metres, or a geoid grid, to add to the DEM's heights to get heights above the ellipsoid (0: they are"
         " such), if its CRS does not say it.",
-        _PLACED,
+        _PLACING,
         metavar="METRES|GRID",
         check=_DATUM,
     )
     """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid), or a file of them;
     None = the DEM's CRS tells."""
-    trust_rpc: bool = option(False, "Use RPCs although they put an image in an implausible place.", _PLACED)
+    trust_rpc: bool = option(False, "Use RPCs although they put an image in an implausible place.", _PLACING)
     method: Method = option("oriented", "Fine matching method.", _MATCHING)
     points: int | Literal["all", "dense"] | None = option(
         None,

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
-from pcwlad_geo.cli.sections import RUNNING, section_of_options
+from pcwlad_geo.cli.sections import RUNNING_SECTION, section_of_options
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.option_text import to_setting
@@ -179,7 +179,11 @@ OutputPoints = Annotated[
 ]
 Overwrite = Annotated[
     bool,
-    option("--overwrite", help="Replace the results of an earlier run in OUT_DIR.", rich_help_panel=RUNNING),
+    option(
+        "--overwrite",
+        help="Replace the results of an earlier run in OUT_DIR.",
+        rich_help_panel=RUNNING_SECTION,
+    ),
 ]
 ProgressOption = Annotated[
     ProgressStyle,
@@ -187,11 +191,12 @@ ProgressOption = Annotated[
         "--progress",
         help="auto: a bar on a terminal; json: one object a line on standard output.",
         show_default=True,
-        rich_help_panel=RUNNING,
+        rich_help_panel=RUNNING_SECTION,
     ),
 ]
 WatchStdin = Annotated[
-    bool, option("--watch-stdin", help="Cancel the run when standard input ends.", rich_help_panel=RUNNING)
+    bool,
+    option("--watch-stdin", help="Cancel the run when standard input ends.", rich_help_panel=RUNNING_SECTION),
 ]
 Config = Annotated[
     Path | None,
@@ -199,7 +204,7 @@ Config = Annotated[
         "--config",
         help="Options by name; the command line wins.",
         metavar="FILE.toml",
-        rich_help_panel=RUNNING,
+        rich_help_panel=RUNNING_SECTION,
     ),
 ]
 Debug = Annotated[
@@ -207,7 +212,7 @@ Debug = Annotated[
     option(
         "--debug",
         help="Show the traceback of an error, and what libraries write meanwhile.",
-        rich_help_panel=RUNNING,
+        rich_help_panel=RUNNING_SECTION,
     ),
 ]
 RUN_OPTIONS = [

@@ -16,14 +16,14 @@ MANY: Final = "Many images"
 """Title of the commands for many images."""
 AFTER: Final = "After a registration"
 """Title of the commands for a finished registration."""
-RUNNING: Final = "Running"
+RUNNING_SECTION: Final = "Running"
 """Title of the options that do not change the result."""
 FIRST_OPTIONS: Final = {
     "ref_band": "Input",
     "method": "Matching",
     "model": "Correction and output raster",
     "prove": "Accuracy and report",
-    "allow_remote": RUNNING,
+    "allow_remote": RUNNING_SECTION,
 }
 """The first option of each section, in their order, and its title. The page of the options has the same."""
 

@@ -168,7 +168,11 @@ def abandon_stack(out_dir: str | Path | None) -> None:
 
 def stack_ending(stack: Stack) -> Ending:
     """Return the end of a run that has adjusted a stack."""
-    from pcwlad_geo.multi.stack.numbers import NUMBERS, PAGE, TABLE  # slow to load, unless there is a result
+    from pcwlad_geo.multi.stack.numbers import (  # slow to load, unless there is a result
+        STACK_FILE,
+        STACK_PAGE,
+        TABLE,
+    )
     from pcwlad_geo.multi.stack.pair import PairStatus
 
     counts = {status: sum(pair.status == status for pair in stack.pairs) for status in get_args(PairStatus)}
@@ -178,9 +182,9 @@ def stack_ending(stack: Stack) -> Ending:
     if stack.passed is False:
         status = RequirementError.exit_status
     paths = {
-        "numbers": stack.out_dir / NUMBERS,
+        "numbers": stack.out_dir / STACK_FILE,
         "table": stack.out_dir / TABLE,
-        "report": stack.out_dir / PAGE,
+        "report": stack.out_dir / STACK_PAGE,
     }
     figures: dict[str, object] = {
         "images": len(stack.images),
@@ -200,7 +204,7 @@ def stack_ending(stack: Stack) -> Ending:
     ]
     lines += [f"left out: {pair.reference} - {pair.target}: {pair.reason}" for pair in stack.left_out]
     lines += [requirement.text for requirement in stack.requirements]
-    lines.append(f"report: {stack.out_dir / PAGE}")
+    lines.append(f"report: {stack.out_dir / STACK_PAGE}")
     return Ending(figures, visible("\n".join(lines)) + "\n", status)
 
 

@@ -11,7 +11,7 @@ from scipy.interpolate import RegularGridInterpolator
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.types import Float64
 
-STEP_PX: Final = 0.5
+DIFFERENCE_STEP_PX: Final = 0.5
 """Half of the distance over which derivatives are taken, px: corrections are smooth over many pixels."""
 
 
@@ -85,7 +85,7 @@ class ComposedPrecision:
 def slopes_of(correction: Correction, at_px: Float64) -> Float64:
     """Return the (n, 2, 2) derivatives of a correction at the (n, 2) `at_px` (last axis: by col, row)."""
     columns = [
-        (correction.forward(at_px + step) - correction.forward(at_px - step)) / (2 * STEP_PX)
-        for step in np.eye(2) * STEP_PX
+        (correction.forward(at_px + step) - correction.forward(at_px - step)) / (2 * DIFFERENCE_STEP_PX)
+        for step in np.eye(2) * DIFFERENCE_STEP_PX
     ]
     return np.stack(columns, axis=-1)

@@ -28,7 +28,7 @@ class ReadingLimits:
     """Number of steps of a composition."""
 
 
-LIMITS: Final = ReadingLimits()
+READING_LIMITS: Final = ReadingLimits()
 """Those in use."""
 
 
@@ -60,9 +60,9 @@ def _polynomial(name: str, forward: Mapping[str, Any]) -> Correction:
     (low, high), centre = finite_array(forward["box"], (2, 2)), finite_array(forward["centre"], (2,))
     order = int(forward["order"])
     if (
-        not 1 <= order <= LIMITS.order
+        not 1 <= order <= READING_LIMITS.order
     ):  # before its terms are counted, which could be more than fit into memory
-        raise ValueError(f"expected an order from 1 to {LIMITS.order}, found {order}")
+        raise ValueError(f"expected an order from 1 to {READING_LIMITS.order}, found {order}")
     basis = PolynomialBasis(
         order=order,
         centre_px=(float(centre[0]), float(centre[1])),
@@ -86,7 +86,11 @@ def _jitter(name: str, forward: Mapping[str, Any]) -> Correction:
     affine, waves = _affine("affine", forward), []
     for wave in forward["waves"]:
         along, origin = wave["along"], float(wave["origin"])
-        if along not in ("column", "row") or not np.isfinite(origin) or len(forward["waves"]) > LIMITS.waves:
+        if (
+            along not in ("column", "row")
+            or not np.isfinite(origin)
+            or len(forward["waves"]) > READING_LIMITS.waves
+        ):
             raise ValueError("expected few waves along columns or rows, with a finite origin")
         coefficients = finite_array(wave["coefficients"], (2, 2))
         waves.append(JitterWave(along, _length(wave["period"]), origin, coefficients))
@@ -95,8 +99,10 @@ def _jitter(name: str, forward: Mapping[str, Any]) -> Correction:
 
 def _composition(name: str, forward: Mapping[str, Any]) -> Correction:
     steps = forward["steps"]
-    if not 1 <= len(steps) <= LIMITS.steps or any(step["forward"]["type"] == "composition" for step in steps):
-        raise ValueError(f"expected 1 to {LIMITS.steps} steps, none of them a composition")
+    if not 1 <= len(steps) <= READING_LIMITS.steps or any(
+        step["forward"]["type"] == "composition" for step in steps
+    ):
+        raise ValueError(f"expected 1 to {READING_LIMITS.steps} steps, none of them a composition")
     return Composition(name, tuple((from_dict(step), bool(step["inverted"])) for step in steps))
 
 

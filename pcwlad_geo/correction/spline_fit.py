@@ -13,8 +13,8 @@ from pcwlad_geo.correction.local_surface import local_surface
 from pcwlad_geo.correction.smoothing import SplineTask, smoothing_by_blocks, smoothing_by_score
 from pcwlad_geo.correction.splines import SplineCorrection
 from pcwlad_geo.correction.thin_plate import (
-    FIELD,
     THIN_PLATE,
+    WINDOWED_SPLINE,
     SplineParameters,
     ThinPlateSystem,
     mean_precision,
@@ -134,7 +134,7 @@ def fit_field(
     *,
     footprint_px: float = 0.0,
     trend: Trend | None = None,
-    parameters: SplineParameters = FIELD,
+    parameters: SplineParameters = WINDOWED_SPLINE,
 ) -> SplineFit:
     """Fit the measured field: an affine, plus what the points show beyond it, weighted by the covariance.
 

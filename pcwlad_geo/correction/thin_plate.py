@@ -43,7 +43,7 @@ class SplineParameters:
 
 THIN_PLATE: Final = SplineParameters()
 """Those of the thin-plate spline."""
-FIELD: Final = SplineParameters(max_cells=80, cell_per_window=0.5)
+WINDOWED_SPLINE: Final = SplineParameters(max_cells=80, cell_per_window=0.5)
 """Those of the measured field, which restores detail that the windows have averaged."""
 
 
@@ -84,7 +84,7 @@ def decay(grid: SplineGrid, reach_px: float) -> Sparse:
 
 
 def windowed_design(
-    grid: SplineGrid, xy_px: Float64, footprint_px: float, window_nodes: int = FIELD.window_nodes
+    grid: SplineGrid, xy_px: Float64, footprint_px: float, window_nodes: int = WINDOWED_SPLINE.window_nodes
 ) -> scipy.sparse.csr_array:
     """Return the (n, k) means of the B-splines over windows of side `footprint_px` at the (n, 2) `xy_px`."""
     nodes = footprint_px * ((np.arange(window_nodes) + 0.5) / window_nodes - 0.5)
@@ -129,7 +129,11 @@ class ThinPlateSystem:
 
     @classmethod
     def of_field(
-        cls, xy_px: Float64, footprint_px: float, reach_px: float, parameters: SplineParameters = FIELD
+        cls,
+        xy_px: Float64,
+        footprint_px: float,
+        reach_px: float,
+        parameters: SplineParameters = WINDOWED_SPLINE,
     ) -> ThinPlateSystem:
         """Return the equations of the field model for the (n, 2) points `xy_px` (col, row).
 

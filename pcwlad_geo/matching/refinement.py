@@ -42,7 +42,7 @@ class RefinementParameters:
 
 REFINEMENT: Final = RefinementParameters()
 """Those in use."""
-STEP_PX: Final = 2
+SPARSE_STEP_PX: Final = 2
 """Distance of the pixels of windows that every second pixel of the rows and columns is enough for."""
 POLE: Final = float(np.sqrt(3.0)) - 2.0
 """Pole of the prefilter of the cubic B-spline [1]_."""
@@ -85,7 +85,7 @@ class ChannelMaps:
     def maps_by_phase(self) -> Float32:
         """(channels, rows, cols) the maps with their columns sorted by phase, as `sampling` reads them."""
         channels, rows, cols = self.maps.shape
-        sorted_planes = np.empty((channels, rows, cols // STEP_PX * STEP_PX), np.float32)
+        sorted_planes = np.empty((channels, rows, cols // SPARSE_STEP_PX * SPARSE_STEP_PX), np.float32)
         for plane, out in zip(self.maps, sorted_planes, strict=True):
             _sort_by_phase(plane, out)
         return sorted_planes
@@ -105,8 +105,10 @@ class ChannelMaps:
 def _sort_by_phase(plane: Float32, out: Float32) -> None:
     """Copy a plane with its even columns before its odd ones; an odd last column is left out."""
     cols = out.shape[1]
-    for phase in range(STEP_PX):
-        out[:, phase * cols // STEP_PX : (phase + 1) * cols // STEP_PX] = plane[:, phase:cols:STEP_PX]
+    for phase in range(SPARSE_STEP_PX):
+        out[:, phase * cols // SPARSE_STEP_PX : (phase + 1) * cols // SPARSE_STEP_PX] = plane[
+            :, phase:cols:SPARSE_STEP_PX
+        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +179,7 @@ def refine(
 
     The maps are of `reference` and `target`, and the windows lie at the (n, 2) intp `corners_rc` (row,
     column) of the reference, with initial shifts and deformations in `start`. `window_px` is the side of the
-    window, or its rows and columns, odd; of its pixels those `step_px` apart are taken, 1 or `STEP_PX`.
+    window, or its rows and columns, odd; of its pixels every one or every second is taken (`step_px`).
     `use_structure` weights them by mutual structure, and `robust` by the residual (paper, eq. 9). `affine`
     estimates the deformation of each window, which otherwise stays. There are at most so many Gauss-Newton
     `iterations`. A share of `least_valid` of the window must be valid in both images where they have no gaps.
@@ -217,7 +219,7 @@ def refine(
 
 def _images(reference: ChannelMaps, target: ChannelMaps, step_px: int) -> kernel.Images:
     """Return the arrays of both images as the compiled loop takes them."""
-    by_phase = step_px == STEP_PX
+    by_phase = step_px == SPARSE_STEP_PX
     return kernel.Images(
         np.ascontiguousarray(reference.maps_by_phase if by_phase else reference.maps, np.float32),
         np.ascontiguousarray(target.coefficients_by_phase if by_phase else target.coefficients, np.float32),

@@ -13,7 +13,7 @@ from pcwlad_geo.matching.calibration import calibrate
 from pcwlad_geo.matching.guidance import FieldGuide, guide_by_field
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import ChannelPair
-from pcwlad_geo.matching.refinement import STEP_PX, InitialEstimate
+from pcwlad_geo.matching.refinement import SPARSE_STEP_PX, InitialEstimate
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints, to_index
 from pcwlad_geo.matching.windows import WINDOWS, Scales, choose_scales, window_sample
 from pcwlad_geo.types import Bool, Float64
@@ -21,7 +21,7 @@ from pcwlad_geo.types import Bool, Float64
 
 def step_of(window_px: int) -> int:
     """Return the distance of the pixels of a window of the second pass."""
-    return STEP_PX if window_px >= WINDOWS.sparse_from_px else 1
+    return SPARSE_STEP_PX if window_px >= WINDOWS.sparse_from_px else 1
 
 
 def rematch(

@@ -164,7 +164,7 @@ _CORRECTED: Final = Condition("`register`", lambda job: True, corrected=True)
 _SHIFTED: Final = Condition(
     "shift or affine, of a target with georeferencing", _in_geotransform, corrected=True
 )
-_PLACED: Final = Condition("with `--write-placed`", lambda job: job.settings.write_placed)
+_IF_PLACED: Final = Condition("with `--write-placed`", lambda job: job.settings.write_placed)
 _FETCHED: Final = Condition(
     "a web map as reference", lambda job: job.fetched is not None and not job.fetched.uri.endswith(".vrt")
 )
@@ -191,7 +191,7 @@ OUTPUTS: Final = (
     ),
     Output("basemap", "basemap.tif", _FETCHED, "what was fetched of a web map"),
     Output("tiles", "reference.vrt", _TILES, "the tiles of the reference that show ground of the target"),
-    Output("placed", "{stem}_placed.vrt", _PLACED, "the target as `--place` puts it", _placed),
+    Output("placed", "{stem}_placed.vrt", _IF_PLACED, "the target as `--place` puts it", _placed),
     Output("rpc", "{stem}_rpc.vrt", _RPC, "the original target with the corrected RPC", _rpc),
     Output("rpc_text", "{stem}_rpc_RPC.TXT", _RPC, "the corrected RPC as text", _rpc_text),
     Output(

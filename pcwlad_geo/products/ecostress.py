@@ -12,24 +12,26 @@ from pcwlad_geo.products.names import beside, by_scene, scene_by
 from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree
 
-_FILE: Final = re.compile(
+_ECOSTRESS_FILE: Final = re.compile(
     r"(?P<scene>ECOv\d{3}_L2T_LSTE_\d{5}_\d{3}_\d\d[A-Z]{3}_\d{8}T\d{6}_\d{4}_\d\d)"
     r"_(?P<part>(?P<band>LST|EmisWB)\.tif|cloud\.tif)",
     re.IGNORECASE,
 )
 """Name of a band that shows the ground, or of the mask of clouds, of a tile."""
 _SWATH: Final = re.compile(r"ECOSTRESS_L2_.*\.h5|ECOv\d{3}_L2G?_(?:LSTE|CLOUD)_.*\.h5", re.IGNORECASE)
-_ORDER: Final = ("LST", "EmisWB")
+_TEMPERATURE_BANDS: Final = ("LST", "EmisWB")
 
 
 def find_ecostress(tree: FileTree) -> Product | None:
     """Return the tile of a folder or an archive; None where there is none, or several."""
-    scenes = by_scene(tree.names, _FILE)
+    scenes = by_scene(tree.names, _ECOSTRESS_FILE)
     return _tile(tree, *next(iter(scenes.items()))) if len(scenes) == 1 else None
 
 
 def _tile(tree: FileTree, scene: str, files: dict[str, str]) -> Product | None:
-    names = {name: files[f"{name.upper()}.TIF"] for name in _ORDER if f"{name.upper()}.TIF" in files}
+    names = {
+        name: files[f"{name.upper()}.TIF"] for name in _TEMPERATURE_BANDS if f"{name.upper()}.TIF" in files
+    }
     if not names:
         return None
     clouds = files.get("CLOUD.TIF")
@@ -45,16 +47,16 @@ def _tile(tree: FileTree, scene: str, files: dict[str, str]) -> Product | None:
 
 def _of_file(path: Path) -> Product | None:
     """Return a single band with the mask beside it."""
-    match = _FILE.fullmatch(path.name)
+    match = _ECOSTRESS_FILE.fullmatch(path.name)
     if match is None or match["band"] is None:
         return None
     tree = beside(path)
-    product = _tile(tree, match["scene"], by_scene(tree.names, _FILE)[match["scene"]])
+    product = _tile(tree, match["scene"], by_scene(tree.names, _ECOSTRESS_FILE)[match["scene"]])
     return product and product.single(path)
 
 
 def _part(names: Sequence[str]) -> str | None:
-    scenes = by_scene(names, _FILE)
+    scenes = by_scene(names, _ECOSTRESS_FILE)
     if len(scenes) > 1:
         return f"{len(scenes)} tiles of ECOSTRESS: give the folder of one, or all to stack with --band LST"
     if scenes:
@@ -70,10 +72,10 @@ def _part(names: Sequence[str]) -> str | None:
 
 ECOSTRESS: Final = ProductKind(
     name="ECOSTRESS",
-    marks=lambda name: _FILE.fullmatch(name) is not None,
+    marks=lambda name: _ECOSTRESS_FILE.fullmatch(name) is not None,
     find=find_ecostress,
     of_file=_of_file,
-    scene_of=lambda path: scene_by(_FILE, path),
+    scene_of=lambda path: scene_by(_ECOSTRESS_FILE, path),
     part=_part,
 )
 """The kind of all tiles of ECOSTRESS."""

@@ -13,13 +13,13 @@ from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree
 from pcwlad_geo.raster.file_tree import name_in
 
-_FILE: Final = re.compile(
+_HLS_FILE: Final = re.compile(
     r"(?P<scene>HLS\.(?P<sensor>[LS]30)\.T\d\d[A-Z]{3}\.\d{7}T\d{6}\.v\d+\.\d+)"
     r"\.(?P<part>(?P<band>B\d[\dA])\.tif|Fmask\.tif|cmr\.xml)",
     re.IGNORECASE,
 )
 """Name of a band, of the mask, or of the metadata, of a granule."""
-_LISTED: Final = re.compile(r"HLS\.[\w.]{20,60}\.B\d[\dA]\.tif", re.IGNORECASE)
+_BAND_FILE_IN_CMR: Final = re.compile(r"HLS\.[\w.]{20,60}\.B\d[\dA]\.tif", re.IGNORECASE)
 """Names of the bands in the metadata."""
 _CIRRUS: Final = {"L30": ("B09",), "S30": ("B10",)}
 _COARSE_M: Final = {
@@ -31,7 +31,7 @@ _COARSE_M: Final = {
 
 def find_hls(tree: FileTree) -> Product | None:
     """Return the HLS granule of a folder or an archive; None where there is none, or several."""
-    scenes = by_scene(tree.names, _FILE)
+    scenes = by_scene(tree.names, _HLS_FILE)
     return _granule(tree, *next(iter(scenes.items()))) if len(scenes) == 1 else None
 
 
@@ -40,7 +40,7 @@ def _granule(tree: FileTree, scene: str, files: dict[str, str]) -> Product | Non
     if not images:
         return None
     text = tree.read_text(files["CMR.XML"]) if "CMR.XML" in files else ""
-    listed = [name for name in dict.fromkeys(_LISTED.findall(text)) if name.startswith(f"{scene}.")]
+    listed = [name for name in dict.fromkeys(_BAND_FILE_IN_CMR.findall(text)) if name.startswith(f"{scene}.")]
     held = {name_in(name).upper() for name in files.values()}
     sensor = scene.split(".")[1].upper()
     order = sorted(images, key=lambda name: name.replace("B8A", "B08A"))
@@ -60,21 +60,21 @@ def _granule(tree: FileTree, scene: str, files: dict[str, str]) -> Product | Non
 
 def _of_file(path: Path) -> Product | None:
     """Return the granule of its metadata file, or a single band with the mask beside it."""
-    match = _FILE.fullmatch(path.name)
+    match = _HLS_FILE.fullmatch(path.name)
     if match is None or match["part"].upper() == "FMASK.TIF":
         return None
     tree, scene = beside(path), match["scene"]
-    product = _granule(tree, scene, by_scene(tree.names, _FILE)[scene])
+    product = _granule(tree, scene, by_scene(tree.names, _HLS_FILE)[scene])
     return product and (product.single(path) if match["band"] else product)
 
 
 def _native_px_m(stem: str, description: str | None) -> float | None:
-    match = _FILE.fullmatch(f"{stem}.tif")
+    match = _HLS_FILE.fullmatch(f"{stem}.tif")
     return _COARSE_M[match["sensor"].upper()].get(match["band"].upper()) if match and match["band"] else None
 
 
 def _part(names: Sequence[str]) -> str | None:
-    scenes = by_scene(names, _FILE)
+    scenes = by_scene(names, _HLS_FILE)
     if len(scenes) > 1:
         return f"{len(scenes)} HLS granules: give the folder of one, a band file, or all to stack with --band"
     if scenes:
@@ -86,10 +86,10 @@ def _part(names: Sequence[str]) -> str | None:
 
 HLS: Final = ProductKind(
     name="HLS",
-    marks=lambda name: _FILE.fullmatch(name) is not None,
+    marks=lambda name: _HLS_FILE.fullmatch(name) is not None,
     find=find_hls,
     of_file=_of_file,
-    scene_of=lambda path: scene_by(_FILE, path),
+    scene_of=lambda path: scene_by(_HLS_FILE, path),
     native_px_m=_native_px_m,
     part=_part,
 )

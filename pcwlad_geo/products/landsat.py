@@ -29,7 +29,7 @@ LANDSAT_LISTED: Final = re.compile(r"\bFILE_NAME_BAND_\w{1,30}\W{1,9}?(L[\w.]{1,
 """Names of bands' files in the MTL; bounded, so that text of nonsense is read in linear time."""
 _COLLECTION: Final = re.compile(r"\bCOLLECTION_NUMBER\W{1,9}?(\d{1,2})\b")
 """The collection in the MTL, which older scenes lack."""
-_QUALITY: Final = {"02": "QA_PIXEL.TIF", "01": "BQA.TIF", "": "BQA.TIF"}
+_QUALITY_FILES: Final = {"02": "QA_PIXEL.TIF", "01": "BQA.TIF", "": "BQA.TIF"}
 """Quality raster by collection; none: before the Collections."""
 _LANDSAT: Final = re.compile(
     r"^L([COTEM])(?:0([1-9])_\w{4}_\d{6}_.*?_(?:(?:SR|ST)_)?|([1-9])\d{13}[A-Z]{3}\d\d_)B(\d+)$",
@@ -67,7 +67,7 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
     text = "" if metadata is None else tree.read_text(metadata)
     stated = _COLLECTION.search(text)
     collection = kind["collection"] if kind else stated[1].zfill(2) if stated else ""
-    if collection not in _QUALITY:
+    if collection not in _QUALITY_FILES:
         raise InputError(
             f"{tree.path} is no product of Landsat Collection 1 or 2 but of another collection "
             f"({identifier}), whose masks may have other bits: give one of its band files and a mask with 0 "
@@ -76,7 +76,7 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
     bands = {match["name"]: (match, files[part]) for part in files if (match := _BAND_PART.fullmatch(part))}
     found = {name: ProductBand(name, tree.uri(file)) for name, (_, file) in bands.items()}
     order = sorted(found, key=lambda name: (int(bands[name][0]["number"][1:]), name))
-    quality = files.get(_QUALITY[collection])
+    quality = files.get(_QUALITY_FILES[collection])
     level = f" {kind['level']}" if kind else ""
     return Product(
         path=str(tree.path),

@@ -15,14 +15,14 @@ from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree
 from pcwlad_geo.raster.file_tree import name_in, tree_of
 
-_FILE: Final = re.compile(
+_MAJA_FILE: Final = re.compile(
     r"(?P<scene>(?P<satellite>SENTINEL2|VENUS|LANDSAT)[\w-]{0,20}?_\d{8}-\d{6}-\d{3}_L2A_[\w-]{1,20}_[A-Z]_V\d+-\d+)"
     r"_(?P<part>(?:FRE|SRE)_(?P<band>B\d{1,2}A?)\.tif|CLM_(?:R1|XS)\.tif|MTD_ALL\.xml)",
     re.IGNORECASE,
 )
 """Name of a band, of the mask of clouds, or of the metadata, of a product."""
-_METADATA: Final = re.compile(r"\w.*_L2A_.*_MTD_ALL\.xml", re.IGNORECASE)
-_LISTED: Final = re.compile(r"[\w-]{20,100}_(?:FRE|SRE)_B\d{1,2}A?\.tif", re.IGNORECASE)
+_METADATA_FILE: Final = re.compile(r"\w.*_L2A_.*_MTD_ALL\.xml", re.IGNORECASE)
+_BAND_FILE_IN_XML: Final = re.compile(r"[\w-]{20,100}_(?:FRE|SRE)_B\d{1,2}A?\.tif", re.IGNORECASE)
 """Names of the bands in the metadata."""
 
 
@@ -32,7 +32,7 @@ def find_maja(tree: FileTree) -> Product | None:
     Its bands are those corrected for slopes (FRE), and only where it has none the others (SRE). Raises
     `InputError` if there are several products.
     """
-    scenes = by_scene(tree.names, _FILE)
+    scenes = by_scene(tree.names, _MAJA_FILE)
     if not scenes:
         return None
     if len(scenes) > 1:
@@ -47,7 +47,7 @@ def find_maja(tree: FileTree) -> Product | None:
     mask = next((files[part] for part in sorted(files) if part.startswith("CLM")), None)
     text = tree.read_text(files["MTD_ALL.XML"]) if "MTD_ALL.XML" in files else ""
     kind = "_FRE_" if any(name.startswith("FRE") for name in numbers) else "_SRE_"
-    listed = [name for name in dict.fromkeys(_LISTED.findall(text)) if kind in name.upper()]
+    listed = [name for name in dict.fromkeys(_BAND_FILE_IN_XML.findall(text)) if kind in name.upper()]
     held = {name_in(name).upper() for name in files.values()}
     two_digits = {f"B{int(name[1:]):02d}": band for name, band in best.items() if name[1:].isdecimal()}
     product = Product(
@@ -72,34 +72,34 @@ def _order(part: str) -> tuple[int, str]:
 
 def _of_file(path: Path) -> Product | None:
     """Return a single band with the mask of its product."""
-    match = _FILE.fullmatch(path.name)
+    match = _MAJA_FILE.fullmatch(path.name)
     if match is None or match["band"] is None:
         return None
     folder = tree_of(path.parent)
-    names = tuple(name for name in folder.names if scene_by(_FILE, Path(name)) == match["scene"])
+    names = tuple(name for name in folder.names if scene_by(_MAJA_FILE, Path(name)) == match["scene"])
     product = find_maja(FileTree(path.parent, names))
     return product and product.single(path)
 
 
 def _native_px_m(stem: str, description: str | None) -> float | None:
-    match = _FILE.fullmatch(f"{stem}.tif")
+    match = _MAJA_FILE.fullmatch(f"{stem}.tif")
     if match is None or not match["band"] or match["satellite"].upper() != "SENTINEL2":
         return None
     return sentinel2.SENTINEL2_M.get(match["band"][1:].upper())
 
 
 def _part(names: Sequence[str]) -> str | None:
-    scenes = by_scene(names, _FILE)
+    scenes = by_scene(names, _MAJA_FILE)
     return f"{len(scenes)} products of MAJA: give the folder of one" if len(scenes) > 1 else None
 
 
 MAJA: Final = ProductKind(
     name="MAJA",
-    marks=lambda name: _FILE.fullmatch(name) is not None,
+    marks=lambda name: _MAJA_FILE.fullmatch(name) is not None,
     find=find_maja,
-    metadata=_METADATA,
+    metadata=_METADATA_FILE,
     of_file=_of_file,
-    scene_of=lambda path: scene_by(_FILE, path),
+    scene_of=lambda path: scene_by(_MAJA_FILE, path),
     native_px_m=_native_px_m,
     part=_part,
 )

@@ -13,7 +13,7 @@ from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree
 from pcwlad_geo.raster.file_tree import name_in
 
-_FILE: Final = re.compile(
+_PLANET_FILE: Final = re.compile(
     r"(?P<scene>\d{8}_\d{6}_(?:\d{1,3}_)?[0-9a-f]{4}|\d{8}_\d{6}_ssc?\d+(?:d\d)?_\d{4})"
     r"_(?P<part>(?P<level>1B_|3B_|basic_)?(?:(?P<image>analytic(?:MS)?(?:_SR)?(?:_8b)?|visual|panchromatic|"
     r"pansharpened)(?:_dn)?(?:_harmonized)?(?:_clip)?\.tif|(?P<mask>udm2(?:_clip)?\.tif)|"
@@ -21,11 +21,20 @@ _FILE: Final = re.compile(
     re.IGNORECASE,
 )
 """Name of an image, of the mask, or of the metadata, of a scene."""
-_ORDER: Final = ("sr_8b", "_sr", "_8b", "analyticms", "analytic", "pansharpened", "panchromatic", "visual")
+_PREFERRED_IMAGES: Final = (
+    "sr_8b",
+    "_sr",
+    "_8b",
+    "analyticms",
+    "analytic",
+    "pansharpened",
+    "panchromatic",
+    "visual",
+)
 """What the names of images end in, those first that are taken where a scene has several."""
 _EIGHT: Final = ("coastal_blue", "blue", "green_i", "green", "yellow", "red", "rededge", "nir")
 _FOUR: Final = ("blue", "green", "red", "nir")
-_NAMES: Final = {"visual": ("red", "green", "blue"), "panchromatic": ("pan",)}
+_BANDS_OF_IMAGE: Final = {"visual": ("red", "green", "blue"), "panchromatic": ("pan",)}
 
 
 def find_planet(tree: FileTree, image: str | None = None) -> Product | None:
@@ -34,7 +43,7 @@ def find_planet(tree: FileTree, image: str | None = None) -> Product | None:
     Of several images, of surface reflectance, radiance and for the eye, the first of these is taken, or
     the `image` of this name.
     """
-    files = [(match, name) for name in tree.names if (match := _FILE.fullmatch(name_in(name)))]
+    files = [(match, name) for name in tree.names if (match := _PLANET_FILE.fullmatch(name_in(name)))]
     images = [(match, name) for match, name in files if match["image"] and (image or name) == name]
     if len({match["scene"] for match, _ in images}) != 1:
         return None
@@ -46,7 +55,7 @@ def find_planet(tree: FileTree, image: str | None = None) -> Product | None:
         if match["mask"] and (match["scene"], match["level"] or "") == (scene, level)
     ]
     kind = chosen["image"].lower()
-    names = _NAMES.get(kind, _EIGHT if kind.endswith("_8b") else _FOUR)
+    names = _BANDS_OF_IMAGE.get(kind, _EIGHT if kind.endswith("_8b") else _FOUR)
     scale = 1e-4 if "_sr" in kind else None
     nodata = None if kind == "visual" else 0  # it has an alpha band
     uri = tree.uri(name)
@@ -64,21 +73,21 @@ def find_planet(tree: FileTree, image: str | None = None) -> Product | None:
 
 def _rank(image: str) -> int:
     """Return the place of a kind of image in the order of preference."""
-    return next(place for place, end in enumerate(_ORDER) if image.lower().endswith(end))
+    return next(place for place, end in enumerate(_PREFERRED_IMAGES) if image.lower().endswith(end))
 
 
 def _of_file(path: Path) -> Product | None:
     """Return the scene of an image, which is then the one taken, or of its metadata."""
-    match = _FILE.fullmatch(path.name)
+    match = _PLANET_FILE.fullmatch(path.name)
     if match is None or match["mask"]:
         return None
     tree, scene = beside(path), match["scene"]
-    names = tuple(name for name in tree.names if scene_by(_FILE, Path(name)) == scene)
+    names = tuple(name for name in tree.names if scene_by(_PLANET_FILE, Path(name)) == scene)
     return find_planet(FileTree(tree.path, names), path.name if match["image"] else None)
 
 
 def _part(names: Sequence[str]) -> str | None:
-    scenes = by_scene(names, _FILE)
+    scenes = by_scene(names, _PLANET_FILE)
     if len(scenes) > 1:
         return f"{len(scenes)} scenes of Planet: give the image of one, or the folder to stack"
     if scenes:
@@ -89,10 +98,12 @@ def _part(names: Sequence[str]) -> str | None:
 
 PLANET: Final = ProductKind(
     name="Planet",
-    marks=lambda name: name in ("PSScene", "SkySatScene", "SkySatCollect") or bool(_FILE.fullmatch(name)),
+    marks=lambda name: (
+        name in ("PSScene", "SkySatScene", "SkySatCollect") or bool(_PLANET_FILE.fullmatch(name))
+    ),
     find=find_planet,
     of_file=_of_file,
-    scene_of=lambda path: scene_by(_FILE, path),
+    scene_of=lambda path: scene_by(_PLANET_FILE, path),
     part=_part,
 )
 """The kind of all scenes of Planet's satellites that come in files named by the scene."""

@@ -21,10 +21,10 @@ SENTINEL2_BANDS: Final = (
     *("B09", "B10", "B11", "B12"),
 )
 """Names of the bands in the order of their band_id in the metadata."""
-_METADATA: Final = re.compile(r"MTD_MSI(?P<level>L1C|L2A)\.xml", re.IGNORECASE)
+_SAFE_METADATA: Final = re.compile(r"MTD_MSI(?P<level>L1C|L2A)\.xml", re.IGNORECASE)
 """Name of the metadata file of a product."""
 _STANDS_FOR_PRODUCT: Final = re.compile(r"MTD_MSI(?:L1C|L2A)\.xml|manifest\.safe", re.IGNORECASE)
-_IMAGE: Final = re.compile(
+_BAND_IMAGE: Final = re.compile(
     r"(?:.*/)?GRANULE/(?P<granule>[^/]+)/IMG_DATA/(?:.*/)?"
     r"[^/]*_(?P<band>B\d[\dA]|SCL)(?:_(?P<size>\d\d)m)?(?P<ending>\.(?:jp2|tif))?",
     re.IGNORECASE,
@@ -49,8 +49,8 @@ def find_sentinel2(tree: FileTree) -> Product | None:
 
     Raises `InputError` if the product holds several granules, or its metadata cannot be read.
     """
-    images = [match for name in tree.names if (match := _IMAGE.fullmatch(name)) and match["ending"]]
-    metadata = next((name for name in tree.names if _METADATA.fullmatch(name_in(name))), None)
+    images = [match for name in tree.names if (match := _BAND_IMAGE.fullmatch(name)) and match["ending"]]
+    metadata = next((name for name in tree.names if _SAFE_METADATA.fullmatch(name_in(name))), None)
     if not images and metadata is None:
         return None
     granules = sorted({match["granule"] for match in images})
@@ -95,7 +95,7 @@ class _Facts:
     @staticmethod
     def read(tree: FileTree, name: str | None) -> _Facts:
         """Read MTD_MSIL1C.xml or MTD_MSIL2A.xml; without the file all fields are empty."""
-        match = _METADATA.fullmatch(name_in(name)) if name else None
+        match = _SAFE_METADATA.fullmatch(name_in(name)) if name else None
         if name is None or match is None:
             return _Facts()
         try:
@@ -126,7 +126,7 @@ class _Facts:
         files = {_without_ending(name) for name in tree.names}
         wanted: dict[str, tuple[str, str]] = {}
         for listed in self.listed:
-            match = _IMAGE.fullmatch(listed)
+            match = _BAND_IMAGE.fullmatch(listed)
             if match and (name := match["band"].upper()) in SENTINEL2_BANDS:
                 file = (match["size"] or "", _without_ending(listed))
                 wanted[name] = min(file, wanted.get(name, file))
@@ -138,7 +138,7 @@ def _without_ending(name: str) -> str:
 
 
 def _marks(name: str) -> bool:
-    return bool(_METADATA.fullmatch(name)) or name == "GRANULE" or name.upper().endswith(".SAFE")
+    return bool(_SAFE_METADATA.fullmatch(name)) or name == "GRANULE" or name.upper().endswith(".SAFE")
 
 
 def _scene_of(file: Path) -> str | None:

@@ -15,7 +15,7 @@ from pcwlad_geo.products.names import beside, by_scene, scene_by
 from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree, open_raster
 
-_IMAGE: Final = r"SPECTRAL_IMAGE(?:_VNIR|_SWIR)?(?:_COG)?\.(?:tiff?|geotiff|bsq|bil|bip|jp2)"
+_SPECTRAL_IMAGE: Final = r"SPECTRAL_IMAGE(?:_VNIR|_SWIR)?(?:_COG)?\.(?:tiff?|geotiff|bsq|bil|bip|jp2)"
 _XML: Final = r"METADATA\.XML"
 
 
@@ -140,7 +140,7 @@ ENMAP: Final = SpectralSensor(
     "EnMAP",
     re.compile(
         r"(?P<scene>ENMAP\d\d-____(?P<level>L1B|L1C|L2A)-DT\d{4,12}_\d{8}T\d{6}Z_\d{3}_V\d{6}_\d{8}T\d{6}Z"
-        rf"(?:-Y\d+_X\d+)?)-(?P<part>{_IMAGE}|{_XML}|"
+        rf"(?:-Y\d+_X\d+)?)-(?P<part>{_SPECTRAL_IMAGE}|{_XML}|"
         r"QL_QUALITY_(?:CLOUD|CLOUDSHADOW|CIRRUS)(?:_COG)?\.(?:tiff?|geotiff|bsq|bil|bip|jp2))",
         re.IGNORECASE,
     ),
@@ -152,7 +152,7 @@ DESIS: Final = SpectralSensor(
     "DESIS",
     re.compile(
         r"(?P<scene>DESIS-HSI-(?P<level>L1B|L1C|L2A)-DT\d{4,12}_\d{1,4}-\d{8}T\d{6}-V\d{4})"
-        rf"-(?P<part>{_IMAGE}|{_XML}|QL_QUALITY-2\.tiff?)",
+        rf"-(?P<part>{_SPECTRAL_IMAGE}|{_XML}|QL_QUALITY-2\.tiff?)",
         re.IGNORECASE,
     ),
     ("QL_QUALITY-2",),

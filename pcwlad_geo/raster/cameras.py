@@ -25,7 +25,7 @@ _DJI: Final = "http://www.dji.com/drone-dji/1.0/ "
 NADIR_DEG: Final = -90.0
 """GimbalPitchDegree of a camera that looks straight down."""
 _UNSIGNED: Final = re.compile(r"\d+(?:\.\d+)?")
-_NUMBER: Final = re.compile(r"[(\s]*([+-]?\d+(?:\.\d+)?)\s*\)?\s*$")
+_TAG_NUMBER: Final = re.compile(r"[(\s]*([+-]?\d+(?:\.\d+)?)\s*\)?\s*$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,9 @@ def camera_of(dataset: DatasetReader) -> Camera | None:
     """
     exif = exif_of(dataset)
     drone = {name.partition(_DJI)[2]: values[0][:40] for name, values in xmp_of(dataset).items()}
-    match, pitch = (_NUMBER.match(drone.get(name, "")) for name in ("RelativeAltitude", "GimbalPitchDegree"))
+    match, pitch = (
+        _TAG_NUMBER.match(drone.get(name, "")) for name in ("RelativeAltitude", "GimbalPitchDegree")
+    )
     relative = _within(float(match[1]), CAMERAS.height_m) if match else None
     looks_aside = pitch is not None and abs(float(pitch[1]) - NADIR_DEG) > CAMERAS.max_tilt_deg
     if not exif and relative is None:
@@ -198,7 +200,7 @@ def _by_35_mm(exif: Mapping[str, str], shape: tuple[int, int]) -> float | None:
 
 def number_of(exif: Mapping[str, str], name: str) -> float | None:
     """Return the positive number of an EXIF tag, by its `name` without EXIF; None where there is none."""
-    match = _NUMBER.match(exif.get(f"EXIF_{name}", "")[:40])
+    match = _TAG_NUMBER.match(exif.get(f"EXIF_{name}", "")[:40])
     return _within(float(match[1]), (1e-9, 1e9)) if match else None
 
 

@@ -21,7 +21,7 @@ from pcwlad_geo.types import PathLike
 
 _ZIP: Final = (".zip",)
 _TAR: Final = (".tar", ".tar.gz", ".tgz")
-_DAMAGED: Final = (
+_ARCHIVE_ERRORS: Final = (
     *(OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, lzma.LZMAError),
     *(zipfile.BadZipFile, tarfile.TarError),
 )
@@ -78,7 +78,7 @@ class FileTree:
                 if self.prefix
                 else read_bytes(self.path / name, LIMITS.metadata_bytes)
             )
-        except (KeyError, *_DAMAGED) as error:
+        except (KeyError, *_ARCHIVE_ERRORS) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
         return data.decode("utf-8", errors="replace")
 
@@ -103,7 +103,7 @@ def tree_of(path: Path) -> FileTree:
             return FileTree(path, tuple(sorted(_below(path, levels=6))))
         archive = _Archive.of(path)
         return FileTree(path, tuple(sorted(_members(archive))), "/vsizip" if archive.zipped else "/vsitar")
-    except _DAMAGED as error:
+    except _ARCHIVE_ERRORS as error:
         raise InputError(f"{path} cannot be read: it may be damaged ({error})") from error
 
 

@@ -53,7 +53,7 @@ _DESIS_BANDS: Final = 1, 6, 7
 FLAGS_ONLY: Final = ("UDM2", "CLM", "QL_QUALITY_CLOUD", "QL_QUALITY-2", "cloud")
 """Kinds whose 0 is clear ground even where the file declares it as nodata."""
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
-_NAMES: Final[dict[MaskKind, str]] = {
+_MASK_FILES: Final[dict[MaskKind, str]] = {
     "QA_PIXEL": rf"(^|_)QA_PIXEL{_ENDINGS}",
     "BQA": rf"(^|_)BQA{_ENDINGS}",
     "SCL": rf"(^|_)SCL{_ENDINGS}",
@@ -83,7 +83,7 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
     names = [name_of_uri(uri.replace("\\", "/")), (descriptions[0] or "") if descriptions else ""]
     for name in names:
         for kind in get_args(MaskKind)[1:]:
-            if re.search(_NAMES[kind], name, re.IGNORECASE):
+            if re.search(_MASK_FILES[kind], name, re.IGNORECASE):
                 _check(kind, uri, dtypes)
                 return kind  # type: ignore[no-any-return]  # get_args has no types
     if _OTHERS.search(names[0]):
@@ -96,7 +96,7 @@ def kind_of(uri: str, descriptions: Sequence[str | None], dtypes: Sequence[str])
 
 def is_quality_raster(name: str) -> bool:
     """Whether a file has the name of a quality raster of a product, which is no image."""
-    is_mask = any(re.search(pattern, name, re.IGNORECASE) for pattern in _NAMES.values())
+    is_mask = any(re.search(pattern, name, re.IGNORECASE) for pattern in _MASK_FILES.values())
     return is_mask or _OTHERS.search(name) is not None
 
 

@@ -46,7 +46,7 @@ _BAND_TAGS: Final = "pcwlad-geo-band-tags"
 With COPY_SRC_MDD=YES GDAL (3.10) drops the default metadata domain of the bands, without it all other ones.
 SRC_MDD cannot name the default, and rio-cogeo (7.0) loses the domains and the units of the bands.
 """
-_TEXTS: Final = (".csv", ".html", ".points", ".txt")
+_TEXT_ENDINGS: Final = (".csv", ".html", ".points", ".txt")
 """Suffixes of the text files that are written."""
 _HEADERS: Final = (".hdr", ".xml")
 """Suffixes of text files beside a raster; some formats use them for the raster itself."""
@@ -311,7 +311,7 @@ def verify_output(path: Path) -> None:
         ".vrt": ET.parse,  # not opened: its relative path is valid from its final folder only
         ".json": lambda path: json.loads(path.read_text(encoding="utf-8")),
         ".pdf": _verify_pdf,
-        **dict.fromkeys((*_TEXTS, *_HEADERS), _verify_text),
+        **dict.fromkeys((*_TEXT_ENDINGS, *_HEADERS), _verify_text),
     }
     try:
         if path.stat().st_size == 0:

@@ -21,7 +21,7 @@ from pcwlad_geo.registration.starts.overviews import Overviews
 from pcwlad_geo.registration.tiles import TileJob, TileResult
 from pcwlad_geo.types import Bool, Float64
 
-GROUND: Final = ("usable", "no_texture", "edge", "reference_without_data", "target_without_data")
+PLACE_STATES: Final = ("usable", "no_texture", "edge", "reference_without_data", "target_without_data")
 """Whether a place can be matched: `no_texture` has faint contrast at most in one of the two, `edge` too many
 pixels without data within a window around it."""
 
@@ -44,7 +44,7 @@ class MatchRecord:
     """What the matching did where, in px (col, row) of the reference file."""
 
     ground: NDArray[np.uint8]
-    """(rows, cols) index into `GROUND` of places spread evenly over the reference."""
+    """(rows, cols) index into `PLACE_STATES` of places spread evenly over the reference."""
     windows_px: Float64
     """(k, 4) col, row, col_stop, row_stop of the parts whose corners were candidates."""
     unread: Bool
@@ -64,7 +64,7 @@ class MatchRecord:
         They are the `bare` ones, such as water, or all others.
         """
         places = _middles(shape, self.ground.shape)
-        common = self.ground.ravel() < GROUND.index("reference_without_data")
+        common = self.ground.ravel() < PLACE_STATES.index("reference_without_data")
         is_bare = np.zeros(len(places), bool) if self.bare is None else self.bare.ravel()
         places_px: Float64 = places[common & (is_bare == bare)]
         return places_px
@@ -174,7 +174,7 @@ def _ground(
     )
     reasons = [inside & ~in_reference, ~(inside & in_target), around.ravel() < least_valid, ~textured]
     names = ("reference_without_data", "target_without_data", "edge", "no_texture")
-    ground = np.select(reasons, [GROUND.index(name) for name in names], default=0)
+    ground = np.select(reasons, [PLACE_STATES.index(name) for name in names], default=0)
     return ground.reshape(shape).astype(np.uint8)
 
 

@@ -18,7 +18,7 @@ from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.products.finding import native_per_px, native_px_m
 from pcwlad_geo.raster import Dem, RasterInfo, at_mean_height, file_name, pixel_sizes_m
 from pcwlad_geo.registration import Registration
-from pcwlad_geo.registration.match_record import GROUND, MatchRecord
+from pcwlad_geo.registration.match_record import PLACE_STATES, MatchRecord
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
@@ -29,7 +29,7 @@ STATUSES: Final[Mapping[PointGroup, tuple[str, ...]]] = {"all": KEPT, "fit": ("f
 """Statuses of the tie points of a group, by its name."""
 LOST: Final = (*OUTCOMES[1:], "rejected")
 """Reasons from rejected candidates: the stage that rejected most of those in the square."""
-REASONS: Final = (*GROUND[1:], "unread", "not_asked", *LOST, "unknown")
+REASONS: Final = (*PLACE_STATES[1:], "unread", "not_asked", *LOST, "unknown")
 """Reasons for which a square has no tie point."""
 NO_DATA: Final = ("reference_without_data", "target_without_data")
 """Reasons for which no tie point can be expected."""
@@ -224,11 +224,13 @@ class _Squares:
 
 def _by_ground(ground: NDArray[np.uint8], frame: _Squares) -> NDArray[np.str_]:
     """Return the reason why a square cannot be matched at all; empty where it can."""
-    usable, flat, edge, *without = (_share(ground == index, frame.squares) for index in range(len(GROUND)))
+    usable, flat, edge, *without = (
+        _share(ground == index, frame.squares) for index in range(len(PLACE_STATES))
+    )
     least = frame.parameters.least_data
     reason = np.where(usable < least, "no_texture", "")
     reason = np.where(usable + flat < least, "edge", reason)
-    worst = np.array(GROUND[3:])[np.argmax(without, axis=0)]
+    worst = np.array(PLACE_STATES[3:])[np.argmax(without, axis=0)]
     return np.where(usable + flat + edge < least, worst, reason)
 
 

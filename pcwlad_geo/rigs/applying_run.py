@@ -30,7 +30,7 @@ from pcwlad_geo.types import PathLike
 
 SUMMARY: Final = "summary.csv"
 """A line for each capture."""
-NUMBERS: Final = "rig_apply.json"
+APPLIED_FILE: Final = "rig_apply.json"
 """The same with what is needed to go on where a run was stopped."""
 
 
@@ -115,7 +115,8 @@ def rig_apply(
         plan = split_plan(model, usable, captures, program) if split or program else None
         rasters = [folder / name for capture in usable for name in _names(model, capture, plan)]
         check_outputs(
-            [*rasters, folder / SUMMARY, folder / NUMBERS], [*read, None if isinstance(rig, Rig) else rig]
+            [*rasters, folder / SUMMARY, folder / APPLIED_FILE],
+            [*read, None if isinstance(rig, Rig) else rig],
         )
         runner = open_runner(executor, on_event, jobs=checked_jobs(jobs), scheduler=scheduler)
         with lock_folder(folder), runner as opened, stage_inside(folder) as stage:
@@ -301,7 +302,7 @@ def _digest(rig: Rig, capture: Capture, names: Sequence[str]) -> str:
 def _finished_before(folder: Path) -> dict[str, tuple[str, CaptureOutcome]]:
     """Return the captures that an earlier run has corrected, with the digests of their inputs."""
     try:
-        before = read_json(folder / NUMBERS)
+        before = read_json(folder / APPLIED_FILE)
         finished = {}
         for entry in before["captures"]:
             outcome = CaptureOutcome(**{field.name: entry[field.name] for field in fields(CaptureOutcome)})
@@ -326,6 +327,6 @@ def _write_summary(
         "captures": [{**row, "inputs": digests.get(row["name"], "")} for row in rows],
     }
     (stage / SUMMARY).write_text(csv_of(rows), encoding="utf-8", errors="backslashreplace", newline="")
-    (stage / NUMBERS).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    for name in (SUMMARY, NUMBERS):
+    (stage / APPLIED_FILE).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    for name in (SUMMARY, APPLIED_FILE):
         place_file(stage / name, folder / name, overwrite=True)

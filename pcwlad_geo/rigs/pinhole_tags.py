@@ -23,7 +23,7 @@ _FOCAL_LENGTH, _COLS, _ROWS, _PITCH_X, _PITCH_Y, _PITCH_UNIT, _FOCAL_35 = (
 )  # fmt: skip
 _ORIENTATION: Final = 274
 _CENTIMETRE: Final = 3
-MARK: Final = "https://pcwlad-geo.invalid/rig/1.0/"
+XMP_NAMESPACE: Final = "https://pcwlad-geo.invalid/rig/1.0/"
 """Namespace in XMP of the name of the capture that a corrected frame is of."""
 PIX4D: Final = "http://pix4d.com/camera/1.0/"
 """Namespace in XMP of what photogrammetric programs read of a lens."""
@@ -222,7 +222,7 @@ def _with_description(packet: str, stated: Mapping[str, str]) -> str:
     about = re.search(r"""rdf:about\s*=\s*["']([^"'<>&]*)["']""", packet)
     of, space = about[1] if about else "", declared[1] if declared else PIX4D
     description = (
-        f'<rdf:Description rdf:about="{of}" xmlns:Camera="{space}" xmlns:pcwlad="{MARK}" '
+        f'<rdf:Description rdf:about="{of}" xmlns:Camera="{space}" xmlns:pcwlad="{XMP_NAMESPACE}" '
         f"{' '.join(words)}/>\n"
     )
     end = packet.rfind("</rdf:RDF>")

@@ -31,7 +31,7 @@ from pcwlad_geo.rigs.camera_tags import (
     with_segments,
 )
 from pcwlad_geo.rigs.captures import Capture, Frame
-from pcwlad_geo.rigs.pinhole_tags import MARK, Pinhole, corrected_packet, set_exif
+from pcwlad_geo.rigs.pinhole_tags import XMP_NAMESPACE, Pinhole, corrected_packet, set_exif
 from pcwlad_geo.rigs.rig import Rig
 from pcwlad_geo.types import Float64, PathLike
 
@@ -40,7 +40,7 @@ JPEG: Final = (".jpg", ".jpeg")
 """Endings of frames that stay JPEGs; TIFFs stay TIFFs, and others become TIFFs."""
 TIFF: Final = (".tif", ".tiff")
 """Endings of TIFFs."""
-_QUALITY: Final = 95
+_JPEG_QUALITY: Final = 95
 _APP1: Final = 0xE1
 _SCRIPT: Final = '''"""Make a project of Metashape: metashape -r THIS_FILE, or Tools > Run Script."""
 
@@ -153,7 +153,7 @@ def _relative(path: Path, folders: Sequence[PathLike]) -> Path:
 
 def is_corrected(dataset: DatasetReader) -> bool:
     """Return whether an open frame was corrected before."""
-    return f"{MARK} Capture" in xmp_of(dataset)
+    return f"{XMP_NAMESPACE} Capture" in xmp_of(dataset)
 
 
 def write_frame(
@@ -252,5 +252,5 @@ def _jpeg(planes: NDArray[Any], directory: Directory, packet: bytes, profile: by
     """Return a JPEG of the (bands, rows, cols) `planes`, one or three of 8 bits, with tags."""
     image = Image.fromarray(np.moveaxis(planes, 0, 2) if len(planes) == 3 else planes[0])
     stream = BytesIO()
-    image.save(stream, "JPEG", quality=_QUALITY, subsampling=0, icc_profile=profile or None)
+    image.save(stream, "JPEG", quality=_JPEG_QUALITY, subsampling=0, icc_profile=profile or None)
     return with_segments(stream.getvalue(), {exif_of_jpeg(directory): _APP1, XMP_HEAD + packet: _APP1})

@@ -22,7 +22,7 @@ KIND: Final = "correction"
 """The entry `kind` of a saved correction."""
 CORRECTION_VERSION: Final = 1
 """Version of the structure of the file."""
-_TEXTS: Final = ("id", "status")
+_TEXT_COLUMNS: Final = ("id", "status")
 """Columns that are no numbers, or follow from the order."""
 
 
@@ -41,7 +41,7 @@ class PointColumns:
     def of(cls, table: TiePointTable) -> PointColumns:
         """Return the columns of a table."""
         columns = columns_of(table)
-        numbers = {name: tuple(columns[name].tolist()) for name in POINT_COLUMNS if name not in _TEXTS}
+        numbers = {name: tuple(columns[name].tolist()) for name in POINT_COLUMNS if name not in _TEXT_COLUMNS}
         crs = None if table.crs is None else table.crs.to_wkt()
         return cls(crs, tuple(table.status.tolist()), numbers)
 
@@ -49,7 +49,7 @@ class PointColumns:
         """Return the table; raises `ValueError` if a column is missing or too short."""
         count, pairs = len(self.status), {}
         for name in POINT_COLUMNS:
-            if name in _TEXTS:
+            if name in _TEXT_COLUMNS:
                 continue
             values = np.array(self.numbers[name], dtype=np.float64)
             if values.shape != (count,):

@@ -17,7 +17,7 @@ from pcwlad_geo.tiepoints.format import PointFile, PointRasters, PointSource, Ti
 from pcwlad_geo.tiepoints.table import ENVI_ORIGIN_PX, TiePointTable
 
 _SIDE: Final = re.compile(r"(base|warp|map|image)(?:\s+image)?\s*\(([^()]*)\)", re.IGNORECASE)
-_FILE: Final = re.compile(r";\s*(base|warp) file\s*:\s*(.*\S)", re.IGNORECASE)
+_NAME_IN_COMMENT: Final = re.compile(r";\s*(base|warp) file\s*:\s*(.*\S)", re.IGNORECASE)
 
 
 def write_envi(table: TiePointTable, path: Path, reference_name: str, target_name: str) -> None:
@@ -61,7 +61,9 @@ def _read(source: PointSource) -> PointFile:
         image = halves["image"] if "image" in halves else halves["warp"]
         return PointFile(halves["map"], image - ENVI_ORIGIN_PX, enabled, "map", "px")
     base, warp = halves["base"] - ENVI_ORIGIN_PX, halves["warp"] - ENVI_ORIGIN_PX
-    files = {which.lower(): _name(name) for line in comments for which, name in _FILE.findall(line)}
+    files = {
+        which.lower(): _name(name) for line in comments for which, name in _NAME_IN_COMMENT.findall(line)
+    }
     ours = _name(source.reference_name), _name(source.target_name)
     if ours[0] != ours[1] and (files.get("warp"), files.get("base")) == ours:
         base, warp = warp, base

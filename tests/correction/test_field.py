@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.correction.splines import SplineGrid
-from pcwlad_geo.correction.thin_plate import FIELD, grid_of, windowed_design
+from pcwlad_geo.correction.thin_plate import WINDOWED_SPLINE, grid_of, windowed_design
 
 from .points import affine, inside, isotropic, predicted_sigma, scattered, window_noise
 
@@ -64,8 +64,8 @@ def test_the_means_of_a_plane_are_its_values() -> None:
 
 def test_its_cells_are_finer_where_the_points_are_dense() -> None:
     points = scattered(0, 2000, SIDE)
-    assert grid_of(points, WINDOW, FIELD).spacing_px < 0.7 * grid_of(points, WINDOW).spacing_px
-    assert max(grid_of(scattered(0, 50_000, 20_000), WINDOW, FIELD).cells) <= 80
+    assert grid_of(points, WINDOW, WINDOWED_SPLINE).spacing_px < 0.7 * grid_of(points, WINDOW).spacing_px
+    assert max(grid_of(scattered(0, 50_000, 20_000), WINDOW, WINDOWED_SPLINE).cells) <= 80
 
 
 def test_a_wide_hole_is_filled_by_the_affine() -> None:

@@ -15,7 +15,7 @@ from pcwlad_geo.matching import Candidates
 from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import describe, plan_views, source
-from pcwlad_geo.registration.match_record import GROUND, record_ground
+from pcwlad_geo.registration.match_record import PLACE_STATES, record_ground
 from pcwlad_geo.registration.result import Registration
 from pcwlad_geo.registration.run import register_pair
 from pcwlad_geo.report.statistics import coverage_of
@@ -79,7 +79,7 @@ def test_every_candidate_is_accounted_for(found: Registration) -> None:
 def test_ground_is_told_in_places_of_the_reference_file(found: Registration) -> None:
     record = found.record
     assert record is not None
-    ground = np.array(GROUND)[record.ground]
+    ground = np.array(PLACE_STATES)[record.ground]
     assert ground.shape == (120, 120)
     side = 400 / 120
     rows, cols = np.indices(ground.shape)
@@ -101,12 +101,12 @@ def test_ground_of_a_target_beside_and_of_other_pixels(tmp_path: Path) -> None:
     record = record_ground(plan_views(describe(reference), describe(target)))
     assert record is not None
     assert not record.searched
-    ground = np.array(GROUND)[record.ground]
+    ground = np.array(PLACE_STATES)[record.ground]
     assert (ground[:, :59] == "target_without_data").all()
     assert (ground[:, 61:] == "usable").all()
     turned = record_ground(plan_views(describe(target), describe(reference)))
     assert turned is not None
-    assert (np.array(GROUND)[turned.ground] == "usable").all()
+    assert (np.array(PLACE_STATES)[turned.ground] == "usable").all()
 
 
 def test_ground_of_a_file_that_cannot_be_read_is_not_known(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from pcwlad_geo.matching import Candidates
 from pcwlad_geo.matching.keypoints import OUTCOMES
 from pcwlad_geo.registration import Registration
-from pcwlad_geo.registration.match_record import GROUND, MatchRecord
+from pcwlad_geo.registration.match_record import PLACE_STATES, MatchRecord
 from pcwlad_geo.report.maps import GAP_STYLES, coverage_figure, missing_kinds
 from pcwlad_geo.report.statistics import REASONS, Coverage, coverage_of
 from pcwlad_geo.report.summary import summarise
@@ -54,7 +54,7 @@ def test_squares_without_data_are_not_missed(registration: Make) -> None:
     table = registration(n=300).tie_points
     table = table[table.reference_px[:, 0] > 300]
     ground = np.zeros((80, 120), np.uint8)
-    ground[:, :50] = GROUND.index("reference_without_data")
+    ground[:, :50] = PLACE_STATES.index("reference_without_data")
     coverage = coverage_of(table, SHAPE, record_of(ground))
     assert (coverage.reason[:, :5] == "reference_without_data").all()
     assert (coverage.reason[:, 5] == "no_texture").all()
@@ -86,11 +86,11 @@ def test_rejected_points_are_a_reason(registration: Make) -> None:
 
 def test_ground_decides_first(registration: Make) -> None:
     ground = np.zeros((80, 120), np.uint8)
-    ground[:10, :10] = GROUND.index("edge")
-    ground[:10, 10:20] = GROUND.index("target_without_data")
-    ground[:9, 20:30] = GROUND.index("edge")  # a tenth of the square can be matched: that is no edge
-    ground[:10, 30:40] = GROUND.index("no_texture")  # whatever became of candidates in noise
-    ground[:9, 30:40] = GROUND.index("edge")
+    ground[:10, :10] = PLACE_STATES.index("edge")
+    ground[:10, 10:20] = PLACE_STATES.index("target_without_data")
+    ground[:9, 20:30] = PLACE_STATES.index("edge")  # a tenth of the square can be matched: that is no edge
+    ground[:10, 30:40] = PLACE_STATES.index("no_texture")  # whatever became of candidates in noise
+    ground[:9, 30:40] = PLACE_STATES.index("edge")
     lost = [(75.0, 25.0, "not_converged")] * 9 + [(175.0, 25.0, "not_converged")] * 9
     table = registration("rejected", n=0).tie_points
     coverage = coverage_of(table, SHAPE, record_of(ground, lost=lost))

@@ -34,7 +34,7 @@ STILL_INNER = {
         oriented_phase_congruency
     """,
     "registration": """
-        Editor GROUND INLINE MatchRecord SAME_PIXELS check_model check_placed correct_other_image
+        Editor PLACE_STATES INLINE MatchRecord SAME_PIXELS check_model check_placed correct_other_image
         corrected_rpc describe_motions displaced_otherwise grid_request ground_crs identify_inputs
         position_conflict MotionParameters
 

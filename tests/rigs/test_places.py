@@ -14,7 +14,7 @@ import pytest
 from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.outputs.folder import lock_folder
 from pcwlad_geo.rigs.adjustment import Adjusted, RigState
-from pcwlad_geo.rigs.applying_run import NUMBERS, SUMMARY, rig_apply
+from pcwlad_geo.rigs.applying_run import APPLIED_FILE, SUMMARY, rig_apply
 from pcwlad_geo.rigs.placing import _sigma_px
 from pcwlad_geo.rigs.rig import Rig
 
@@ -43,13 +43,13 @@ def test_rasters_of_a_run_that_was_stopped_are_made_again(folder: Path) -> None:
     assert first.count("corrected") == 1
     raster = folder / "o" / str(first.captures[0].file)
     content = raster.read_bytes()
-    for name in (SUMMARY, NUMBERS):  # as if the run had been stopped before it wrote them
+    for name in (SUMMARY, APPLIED_FILE):  # as if the run had been stopped before it wrote them
         (folder / "o" / name).unlink()
     again = rig_apply(folder / "RIG.json", [folder / "cap"], out_dir=folder / "o", jobs=1)
     assert again.count("corrected") == 1
     assert raster.read_bytes() == content
     raster.write_bytes((folder / "cap" / "IMG_0001_1.tif").read_bytes())  # not a raster of this program
-    (folder / "o" / NUMBERS).unlink()
+    (folder / "o" / APPLIED_FILE).unlink()
     other = rig_apply(folder / "RIG.json", [folder / "cap"], out_dir=folder / "o", jobs=1)
     assert other.count("corrected") == 0
 

@@ -19,7 +19,7 @@ from pcwlad_geo.raster import Grid, describe, middle_pixel_size_m, open_raster, 
 from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers
 from pcwlad_geo.types import Float64, PathLike
 
-PICTURES: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2")
+PHOTOGRAPH_ENDINGS: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2")
 """Endings of photographs whose names in an index have none."""
 
 
@@ -177,7 +177,7 @@ def _names(
     """Return the names of the photographs, and the paths of the files of the folder by their keys."""
     files: dict[str, str] = {}
     for file in sorted(folder.rglob("*") if folder.is_dir() else ()):
-        if file.suffix.lower() in PICTURES:
+        if file.suffix.lower() in PHOTOGRAPH_ENDINGS:
             files.setdefault(_key(file.name), str(file))
             files.setdefault(_key(file.stem), str(file))
     columns = {name: _texts(values) for name, values in zip(layer.fields, layer.values, strict=True)}

@@ -17,7 +17,7 @@ from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.raster import open_raster
 from pcwlad_geo.report.page_templates import page_environment
 
-PAGE: Final = "to_place.html"
+TO_PLACE_PAGE: Final = "to_place.html"
 """Name of the page in the folder of the batch."""
 _SIDE_PX: Final = 260
 
@@ -38,9 +38,9 @@ def write_to_place(
         .render(entries=entries, count=len(outcomes), reference=reference)
     )
     with stage_inside(folder) as stage:
-        (stage / PAGE).write_text(text, encoding="utf-8", errors="backslashreplace")
-        place_file(stage / PAGE, folder / PAGE, overwrite=True)
-    return folder / PAGE
+        (stage / TO_PLACE_PAGE).write_text(text, encoding="utf-8", errors="backslashreplace")
+        place_file(stage / TO_PLACE_PAGE, folder / TO_PLACE_PAGE, overwrite=True)
+    return folder / TO_PLACE_PAGE
 
 
 def _command(reference: str, outcome: PairOutcome, photo: Photo) -> str | None:

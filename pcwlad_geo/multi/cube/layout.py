@@ -12,7 +12,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import Grid, georeferencing_of
 from pcwlad_geo.raster.raster import Raster
 
-AXES: Final = (("time", "t"), ("y", "lat", "latitude"), ("x", "lon", "longitude"))
+DIMENSION_NAMES: Final = (("time", "t"), ("y", "lat", "latitude"), ("x", "lon", "longitude"))
 """Dimensions of a DataArray that are times, rows and columns."""
 CRS_NAMES: Final = ("epsg", "spatial_ref", "crs")
 """Coordinates that hold the CRS."""
@@ -67,7 +67,7 @@ def layout_of(cube: Any) -> CubeLayout:  # noqa: ANN401  # of xarray, which need
     if not (hasattr(cube, "dims") and hasattr(cube, "chunks") and hasattr(cube, "dtype")):
         raise InputError(f"a {type(cube).__name__} is no cube: give an xarray.DataArray of (time, y, x)")
     dims = [str(name) for name in cube.dims]
-    axes = [[name for name in dims if name in names] for names in AXES]
+    axes = [[name for name in dims if name in names] for names in DIMENSION_NAMES]
     if any(len(names) != 1 for names in axes) or len(dims) > 4:
         raise InputError(
             f"a DataArray of ({', '.join(dims)}) is no cube: it needs the dimensions time, y and x, and may "

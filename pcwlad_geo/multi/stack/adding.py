@@ -22,7 +22,7 @@ from pcwlad_geo.multi.stack.inputs import readable_images
 from pcwlad_geo.multi.stack.job import job_of
 from pcwlad_geo.multi.stack.model_choice import choose_basis
 from pcwlad_geo.multi.stack.network import named
-from pcwlad_geo.multi.stack.numbers import NUMBERS, numbers_of
+from pcwlad_geo.multi.stack.numbers import STACK_FILE, numbers_of
 from pcwlad_geo.multi.stack.outputs import check_places, write_registered, write_stack
 from pcwlad_geo.multi.stack.pair_choice import candidates, choose_pairs, overviews_of
 from pcwlad_geo.multi.stack.pairs import check_connected, edges_of, sigma_known
@@ -72,7 +72,7 @@ def stack_add(
     RegistrationRejectedError
         If a new image could not be matched with any other.
     """
-    with OutputFolder(out_dir, overwrite=True, results=NUMBERS, inputs=images) as out:
+    with OutputFolder(out_dir, overwrite=True, results=STACK_FILE, inputs=images) as out:
         return _with_added(images, Path(out_dir), out, on_event, executor, options)
 
 

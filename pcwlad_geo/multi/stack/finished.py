@@ -14,7 +14,7 @@ from pcwlad_geo.multi.stack.frame import StackFrame, frame_of
 from pcwlad_geo.multi.stack.homographies import HOMOGRAPHY
 from pcwlad_geo.multi.stack.inputs import StackInput
 from pcwlad_geo.multi.stack.model_choice import CANDIDATE_MODELS
-from pcwlad_geo.multi.stack.numbers import NUMBERS, numbers_of
+from pcwlad_geo.multi.stack.numbers import STACK_FILE, numbers_of
 from pcwlad_geo.multi.stack.pairs import PAIRS, MeasuredPair, measured_pair
 from pcwlad_geo.raster import RasterInfo, plain_name
 
@@ -41,11 +41,11 @@ def validated_inputs(
         )
         points = tuple(ControlPoint(**entry) for entry in before["control"])
         for point in points:
-            check_control(point, str(folder / NUMBERS))
+            check_control(point, str(folder / STACK_FILE))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder / NUMBERS} is damaged ({error}): stack the images again") from error
+        raise InputError(f"{folder / STACK_FILE} is damaged ({error}): stack the images again") from error
     if not whole:
-        raise InputError(f"{folder / NUMBERS} is damaged: stack the images again")
+        raise InputError(f"{folder / STACK_FILE} is damaged: stack the images again")
     if projective:
         raise InputError(f"{folder} is a stack of frames with homographies: stack all images again")
     return old, points
@@ -90,7 +90,7 @@ def frame_again(numbers: Mapping[str, Any], infos: Sequence[RasterInfoOrError]) 
         raise InputError("the images have RPCs: no planar transformation describes relief displacement")
     inputs = [StackInput.from_dict(entry["given"]) for entry in numbers["images"]]
     if numbers["reference"] not in [image.name for image in inputs]:
-        raise InputError(f"{NUMBERS} is damaged (no image is its reference): stack again")
+        raise InputError(f"{STACK_FILE} is damaged (no image is its reference): stack again")
     readable = []
     for info in infos:
         if isinstance(info, InputError):

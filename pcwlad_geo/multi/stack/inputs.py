@@ -25,7 +25,7 @@ from pcwlad_geo.raster import Bands, RasterInfo, describe, file_name, is_folder,
 from pcwlad_geo.text import is_uri, read_json, read_text, whole
 from pcwlad_geo.types import PathLike
 
-SERIES: Final = ("platform", "sat:relative_orbit")
+ORBIT_PROPERTIES: Final = ("platform", "sat:relative_orbit")
 """Properties of a STAC item that tell its series."""
 
 
@@ -243,7 +243,7 @@ def input_of_item(item: Mapping[str, Any], place: Path, band: int | str) -> Stac
         date=str(properties.get("datetime") or properties.get("start_datetime") or "") or None,
         sun_elevation=None if sun is None else float(sun),
         cloud=None if cloud is None else float(cloud) / 100,
-        series=" ".join(str(properties[name]) for name in SERIES if properties.get(name)) or None,
+        series=" ".join(str(properties[name]) for name in ORBIT_PROPERTIES if properties.get(name)) or None,
         item=_address_of(item, place),
     )
 

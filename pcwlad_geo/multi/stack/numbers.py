@@ -21,18 +21,18 @@ from pcwlad_geo.text import csv_of, mismatch, read_json
 
 SCHEMA_VERSION: Final = 1
 """Version of the format of stack.json."""
-NUMBERS: Final = "stack.json"
+STACK_FILE: Final = "stack.json"
 """File name of all results."""
 TABLE: Final = "stack.csv"
 """File name of the table of images."""
-PAGE: Final = "stack.html"
+STACK_PAGE: Final = "stack.html"
 """File name of the page."""
 STACK_COLUMNS: Final = (
     *("name", "path", "date", "shift_col_px", "shift_row_px", "sigma_col_px", "sigma_row_px"),
     *("sigma_x_m", "sigma_y_m", "pairs", "misfit_sigmas", "group", "registered", "quality"),
 )
 """Columns of that table."""
-FILES: Final = (NUMBERS, TABLE, PAGE)
+FILES: Final = (STACK_FILE, TABLE, STACK_PAGE)
 """Files of a stack other than rasters and STAC files."""
 
 
@@ -106,8 +106,8 @@ class StackNumbers:
 def write_numbers(result: Stack, settings: Settings, page: str, folder: Path) -> None:
     """Write the table, the page, and the numbers, which list all files in the folder."""
     (folder / TABLE).write_text(_table(result), encoding="utf-8", newline="")
-    (folder / PAGE).write_text(page, encoding="utf-8", newline="")
-    written = (*sorted(file.name for file in folder.iterdir() if file.is_file()), NUMBERS)
+    (folder / STACK_PAGE).write_text(page, encoding="utf-8", newline="")
+    written = (*sorted(file.name for file in folder.iterdir() if file.is_file()), STACK_FILE)
     numbers = filled(
         StackNumbers,
         result,
@@ -119,7 +119,7 @@ def write_numbers(result: Stack, settings: Settings, page: str, folder: Path) ->
         outputs=written,
     )
     text = json.dumps(asdict(numbers), indent=1, default=Path.as_posix) + "\n"
-    (folder / NUMBERS).write_text(text, encoding="utf-8", newline="")
+    (folder / STACK_FILE).write_text(text, encoding="utf-8", newline="")
 
 
 def _entry(image: StackImage) -> ImageEntry:
@@ -145,13 +145,15 @@ def _table(result: Stack) -> str:
 
 def numbers_of(folder: Path) -> dict[str, Any]:
     """Return the content of stack.json; raises `InputError` if the folder holds no stack."""
-    place = folder / NUMBERS
+    place = folder / STACK_FILE
     try:
         numbers = read_json(place)
     except (OSError, ValueError) as error:
-        raise InputError(f"{folder} holds no finished stack: {NUMBERS} cannot be read ({error})") from error
+        raise InputError(
+            f"{folder} holds no finished stack: {STACK_FILE} cannot be read ({error})"
+        ) from error
     if not isinstance(numbers, dict) or not {"schema_version", "shared", "images", "pairs"} <= numbers.keys():
-        raise InputError(f"{folder} holds no finished stack ({NUMBERS}): give the output folder of one")
+        raise InputError(f"{folder} holds no finished stack ({STACK_FILE}): give the output folder of one")
     if numbers["schema_version"] != SCHEMA_VERSION:
         raise InputError(
             f"{place} has schema version {numbers['schema_version']}, this version reads {SCHEMA_VERSION}: "

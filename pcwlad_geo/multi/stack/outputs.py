@@ -17,7 +17,7 @@ from pcwlad_geo.events import EventCallback, Progress, Warned, only_warnings
 from pcwlad_geo.multi.stack.catalogue import ITEM, accuracy_of, catalogue
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.job import StackJob
-from pcwlad_geo.multi.stack.numbers import FILES, PAGE, write_numbers
+from pcwlad_geo.multi.stack.numbers import FILES, STACK_PAGE, write_numbers
 from pcwlad_geo.multi.stack.page import stack_page
 from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.multi.stack.rpc_outputs import rpc_names, warp_image
@@ -85,7 +85,7 @@ def write_stack(
     if not any_placed:
         raise RegistrationRejectedError(
             f"no image can be placed: {'; '.join(doubts)}; mask what moves, or give more images of the same "
-            f"ground (page: {result.out_dir / PAGE})"
+            f"ground (page: {result.out_dir / STACK_PAGE})"
         )
     return result
 

@@ -28,7 +28,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import OutputFormat, at_mean_height, pixel_sizes_m
 from pcwlad_geo.types import Float64
 
-NODES: Final = 15
+POSITION_NODES: Final = 15
 """Number of nodes along each axis of an image at which its correction is fitted and its sigma averaged."""
 
 
@@ -99,7 +99,7 @@ def _image(
     registered: Path,
     pairs_in_use: Sequence[StackPair],
 ) -> StackImage:
-    at_px = frame.infos[number].grid.lattice_px(NODES)
+    at_px = frame.infos[number].grid.lattice_px(POSITION_NODES)
     ground = frame.from_image(number, at_px)
     observed_px = frame.to_image(number, ground + adjustment.displacement(number, ground))
     scale = inverse(frame.scale(number, at_px))

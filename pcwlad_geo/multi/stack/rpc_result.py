@@ -17,7 +17,7 @@ from pcwlad_geo.multi.stack.closure import closure_of
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.pair import StackPair
 from pcwlad_geo.multi.stack.pairs import MeasuredPair
-from pcwlad_geo.multi.stack.positions import NODES, position_values, raster_paths, with_offset
+from pcwlad_geo.multi.stack.positions import POSITION_NODES, position_values, raster_paths, with_offset
 from pcwlad_geo.multi.stack.quality import residual_ce90
 from pcwlad_geo.multi.stack.result import BlockNumbers, Chosen, ImageRpc, Misfit, Stack, StackImage
 from pcwlad_geo.multi.stack.rpc_images import PlacedImages
@@ -143,7 +143,7 @@ def _image(
 ) -> StackImage:
     frame, placement = block.frame, block.placements[number]
     info, correction = frame.infos[number], adjustment.corrections[number]
-    at_px = info.grid.lattice_px(NODES)
+    at_px = info.grid.lattice_px(POSITION_NODES)
     covariance = adjustment.covariance(number, at_px)
     rpc = None
     if placement is not None:

@@ -29,7 +29,7 @@ from pcwlad_geo.multi.stack.inputs import readable_images, with_reference
 from pcwlad_geo.multi.stack.job import StackJob, connected_edges, job_of
 from pcwlad_geo.multi.stack.model_choice import choose_basis
 from pcwlad_geo.multi.stack.network import named
-from pcwlad_geo.multi.stack.numbers import NUMBERS
+from pcwlad_geo.multi.stack.numbers import STACK_FILE
 from pcwlad_geo.multi.stack.outputs import check_places, write_registered, write_stack
 from pcwlad_geo.multi.stack.pair_choice import (
     CHOICE,
@@ -135,7 +135,7 @@ def stack(
     job = job_of(out_dir, overwrite, on_event, executor, options | {"ref_band": band, "tgt_band": band})
     if gcps is not None and datum == "mean":
         raise SettingsError("datum = 'mean' and control points are two datums: give one of them")
-    out = OutputFolder(job.folder, overwrite=True, results=NUMBERS, inputs=images)
+    out = OutputFolder(job.folder, overwrite=True, results=STACK_FILE, inputs=images)
     with trusting(job.settings.trust), out:
         images, reference = with_reference(images, reference, band)
         more = () if stac is None else stac_images(stac, job.settings.ref_band, job.settings.trust)

@@ -19,7 +19,7 @@ LISTS: Final = ("collections", "ids", "query", "sortby")
 """Parameters of a search that are lists, separated by commas."""
 PARAMETERS: Final = (*LISTS, "bbox", "datetime", "filter", "limit", "max_items")
 """Parameters of a search that are handed on to pystac-client."""
-REMOTE: Final = ("http", "https", "s3", "gs", "az")
+REMOTE_SCHEMES: Final = ("http", "https", "s3", "gs", "az")
 """Schemes of the addresses that a server may name: no file of this machine."""
 
 
@@ -94,7 +94,7 @@ def _input(item: Mapping[str, Any], api: str, band: int | str) -> StackInput:
     assets: dict[str, Any] = {}
     for key, asset in (item.get("assets") or {}).items():
         href = urljoin(address, str(asset.get("href", "")))
-        if urlsplit(href).scheme in REMOTE:  # never a file of this machine
+        if urlsplit(href).scheme in REMOTE_SCHEMES:  # never a file of this machine
             assets[key] = {**asset, "href": href}
     try:
         return input_of_item({**item, "assets": assets}, Path(), band)

@@ -18,10 +18,9 @@ from pcwlad_geo.events import EventCallback, Progress, only_warnings
 from pcwlad_geo.multi.stack.catalogue import LINEAGE, stac_texts
 from pcwlad_geo.multi.stack.finished import RasterInfoOrError, frame_again
 from pcwlad_geo.multi.stack.frame import StackFrame
-from pcwlad_geo.multi.stack.numbers import NUMBERS as STACK_NUMBERS
-from pcwlad_geo.multi.stack.numbers import PAGE
+from pcwlad_geo.multi.stack.numbers import STACK_FILE, STACK_PAGE
 from pcwlad_geo.multi.stack.outputs import VRT, warp_onto
-from pcwlad_geo.multi.stack.positions import NODES
+from pcwlad_geo.multi.stack.positions import POSITION_NODES
 from pcwlad_geo.multi.watch.numbers import CorrectedImages, ImageSeries, WatchedImage
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
@@ -106,8 +105,8 @@ def _corrected_item(
         file = applied if applied.is_file() else stack / entry["registered"]
         href = f"./{applied.name}" if applied.is_file() else referred_to(file)
         assets["registered"] = Asset(href, "COG", describe(file).grid, outlined=False, file=file)
-    links = [{"rel": "describedby", "type": "text/html", "href": referred_to(stack / PAGE)}]
-    links += [{"rel": "describedby", "type": "application/json", "href": referred_to(stack / STACK_NUMBERS)}]
+    links = [{"rel": "describedby", "type": "text/html", "href": referred_to(stack / STACK_PAGE)}]
+    links += [{"rel": "describedby", "type": "application/json", "href": referred_to(stack / STACK_FILE)}]
     if source.item is not None:
         links.append(
             {"rel": "derived_from", "type": "application/geo+json", "href": referred_to(source.item)}
@@ -132,7 +131,7 @@ def _corrected_grid(grid: Grid, correction: Correction) -> tuple[Grid, float]:
     """Return a grid with its corrected geotransform, and by how much, px, that lies off the correction."""
     if isinstance(correction, AffineCorrection):
         return replace(grid, transform=corrected_transform(grid, correction)), 0.0
-    observed_px = grid.lattice_px(NODES)
+    observed_px = grid.lattice_px(POSITION_NODES)
     predicted_px = correction.inverse(observed_px)
     nearest = AffineCorrection.fit(predicted_px, observed_px)
     off_px = np.hypot(*(nearest.forward(predicted_px) - observed_px).T)

@@ -19,8 +19,7 @@ from pcwlad_geo.arguments import checked
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Warned, ignore
 from pcwlad_geo.multi.stack.finished import described_again
-from pcwlad_geo.multi.stack.numbers import NUMBERS as STACK_NUMBERS
-from pcwlad_geo.multi.stack.numbers import StackRequirement, numbers_of
+from pcwlad_geo.multi.stack.numbers import STACK_FILE, StackRequirement, numbers_of
 from pcwlad_geo.multi.watch.collection import write_corrected
 from pcwlad_geo.multi.watch.dated_images import checked_numbers, dated_images, position_covariance
 from pcwlad_geo.multi.watch.ground_motion import moving_ground
@@ -82,7 +81,7 @@ def watch(
     folder, place = Path(stack), watch_folder(stack, out_dir)
     if place.resolve() == folder.resolve():
         raise InputError(f"{place} is the folder of the stack itself: give another output folder")
-    source = folder / STACK_NUMBERS
+    source = folder / STACK_FILE
     numbers = checked_numbers(numbers_of(folder), source)
     warnings: list[str] = []
 

@@ -28,7 +28,15 @@ TREND_COLUMNS: Final = (
     *("n", "mean_col_px", "mean_row_px", "ce90_px", "passed"),
 )
 """Columns of trend.csv."""
-_DAMAGED: Final = (InputError, OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError)
+_READING_ERRORS: Final = (
+    InputError,
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+)
 """What a damaged report raises."""
 
 
@@ -108,7 +116,7 @@ def _moments(file: Path, top: Path) -> list[tuple[str, str, Moment]]:
         entries = list((_of_qa if file.name == "qa.json" else _of_registration)(report, file, top))
         for _, _, moment in entries:
             _check_moment(moment)
-    except _DAMAGED:  # of another program, too
+    except _READING_ERRORS:  # of another program, too
         return []
     return entries
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.rpc.files import NUMBERS, RpcSource
+from pcwlad_geo.raster.rpc.files import RPC_FIELDS, RpcSource
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.types import Float64
 
@@ -45,8 +45,8 @@ def check_domain(
     """
     rpc = source.rpc
     middle = np.array([[rpc.long_off, rpc.lat_off, rpc.height_off]])
-    numbers = np.array([getattr(rpc, name) for name in NUMBERS])
-    if min(abs(getattr(rpc, name)) for name in NUMBERS if name.endswith("scale")) == 0:
+    numbers = np.array([getattr(rpc, name) for name in RPC_FIELDS])
+    if min(abs(getattr(rpc, name)) for name in RPC_FIELDS if name.endswith("scale")) == 0:
         raise InputError(f"the RPC in {source.origin} has a scale of zero: get it again")
     if not np.isfinite(numbers).all() or not np.isfinite(rpc.to_px(middle)).all():
         raise InputError(f"the RPC in {source.origin} holds values that are not finite: get it again")

@@ -20,7 +20,7 @@ from pcwlad_geo.raster.opening import open_raster
 from pcwlad_geo.raster.rpc.model import TERMS, RpcModel
 from pcwlad_geo.text import read_text, whole
 
-NUMBERS: Final = (
+RPC_FIELDS: Final = (
     *("line_off", "samp_off", "lat_off", "long_off", "height_off"),
     *("line_scale", "samp_scale", "lat_scale", "long_scale", "height_scale"),
 )
@@ -30,7 +30,7 @@ POLYNOMIALS: Final = ("line_num_coeff", "line_den_coeff", "samp_num_coeff", "sam
 SAME_RPC_PX: Final = 0.01
 """Two RPCs whose positions differ by less count as copies of each other."""
 _UNITS: Final = {"line": "pixels", "samp": "pixels", "lat": "degrees", "long": "degrees", "height": "meters"}
-_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_RPC_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def read_rpc(uri: str) -> RpcSource | None:
 
 def to_gdal(rpc: RpcModel) -> dict[str, str]:
     """Return the items of GDAL's metadata domain RPC, in full precision."""
-    items = {name.upper(): repr(float(getattr(rpc, name))) for name in NUMBERS}
+    items = {name.upper(): repr(float(getattr(rpc, name))) for name in RPC_FIELDS}
     for name in POLYNOMIALS:
         items[name.upper()] = " ".join(repr(float(value)) for value in getattr(rpc, name))
     return items
@@ -87,7 +87,7 @@ def write_rpc_text(rpc: RpcModel, path: Path) -> None:
 
     GDAL finds the `path` `X_RPC.TXT` beside `X.tif`.
     """
-    lines = [f"{name.upper()}: {getattr(rpc, name)!r} {_UNITS[name.split('_')[0]]}" for name in NUMBERS]
+    lines = [f"{name.upper()}: {getattr(rpc, name)!r} {_UNITS[name.split('_')[0]]}" for name in RPC_FIELDS]
     for name in POLYNOMIALS:
         lines += [
             f"{name.upper()}_{number}: {value!r}" for number, value in enumerate(getattr(rpc, name), start=1)
@@ -116,7 +116,7 @@ def _of_dataset(uri: str, dataset: DatasetReader) -> RpcModel | None:
         return None
     values: dict[str, Any] = {}
     for key, value in items.items():
-        numbers = [float(number) for number in re.findall(_NUMBER, value)]
+        numbers = [float(number) for number in re.findall(_RPC_NUMBER, value)]
         values[key.lower()] = numbers if key.lower() in POLYNOMIALS else (numbers or [np.nan])[0]
     return _model(values, uri)
 
@@ -134,7 +134,7 @@ def _sidecars(uri: str) -> list[Path]:
 
 def _rpc_txt(text: str) -> dict[str, Any]:
     values: dict[str, Any] = {name: [np.nan] * TERMS for name in POLYNOMIALS}
-    for name, value in re.findall(rf"^[ \t]*(\w+)[ \t]*[:=]\s*({_NUMBER})", text, re.MULTILINE):
+    for name, value in re.findall(rf"^[ \t]*(\w+)[ \t]*[:=]\s*({_RPC_NUMBER})", text, re.MULTILINE):
         base, _, number = name.lower().rpartition("_")
         if base in POLYNOMIALS and 1 <= (term := whole(number) or 0) <= TERMS:
             values[base][term - 1] = float(value)
@@ -148,14 +148,14 @@ def _rpb(text: str) -> dict[str, Any]:
     for name, value in re.findall(r"\b(\w+)\s*=\s*(\([^)=]*\)|[^;=]*);", text):
         key = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
         key = key.replace("offset", "off").replace("coef", "coeff")
-        numbers = [float(number) for number in re.findall(_NUMBER, value)]
+        numbers = [float(number) for number in re.findall(_RPC_NUMBER, value)]
         if numbers:
             values[key] = numbers if value.lstrip().startswith("(") else numbers[0]
     return values
 
 
 def _model(values: Mapping[str, Any], origin: str) -> RpcModel:
-    missing = [name for name in NUMBERS if not np.isfinite(values.get(name, np.nan))]
+    missing = [name for name in RPC_FIELDS if not np.isfinite(values.get(name, np.nan))]
     missing += [
         name
         for name in POLYNOMIALS
@@ -166,7 +166,7 @@ def _model(values: Mapping[str, Any], origin: str) -> RpcModel:
             f"the RPC in {origin} lacks {', '.join(missing).upper()}: get it again, or delete it to register "
             "without it"
         )
-    items: dict[str, Any] = {name: float(values[name]) for name in NUMBERS}
+    items: dict[str, Any] = {name: float(values[name]) for name in RPC_FIELDS}
     items |= {name: tuple(values[name]) for name in POLYNOMIALS}
     for name, value in items.items():
         for number in value if isinstance(value, tuple) else (value,):

@@ -18,7 +18,7 @@ from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.types import Float64
 
-LATTICE: Final = 65
+OUTLINE_NODES: Final = 65
 """Number of points along a side of an image with which its extent on the ground is determined."""
 
 
@@ -128,7 +128,7 @@ def footprint_px(grid: Grid, onto: Grid) -> shapely.Geometry:
 
     It is a convex outline, px (col, row) of the grid `onto`; empty where there is none.
     """
-    at_px = map_px(grid.lattice_px(LATTICE), grid, onto)
+    at_px = map_px(grid.lattice_px(OUTLINE_NODES), grid, onto)
     outline = shapely.MultiPoint(at_px[np.isfinite(at_px).all(axis=1)]).convex_hull
     if not (isinstance(grid, RpcGrid) and isinstance(grid.heights, Dem)):
         return outline

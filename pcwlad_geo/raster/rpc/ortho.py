@@ -29,7 +29,7 @@ from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import OUTPUT_GRIDS, GridRequest, lay_out, output_lattice, snapped_size
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.files import to_gdal
-from pcwlad_geo.raster.rpc.grid import LATTICE, RpcGrid, at_mean_height, footprint_px
+from pcwlad_geo.raster.rpc.grid import OUTLINE_NODES, RpcGrid, at_mean_height, footprint_px
 from pcwlad_geo.raster.vrt import has_alpha
 from pcwlad_geo.raster.warped_views import READING, Block, filled
 from pcwlad_geo.raster.warping import COG, BlockRequest, Blocks, ProgressCallback, kernel, write_warped
@@ -46,7 +46,7 @@ def ortho_grid(reference: Grid, target: RpcGrid) -> Grid:
     are known. Raises `InputError` if no part of the target can be placed in the reference's CRS. The `target`
     has the corrected RPC.
     """
-    lattice_px = map_px(target.lattice_px(LATTICE), target, reference)
+    lattice_px = map_px(target.lattice_px(OUTLINE_NODES), target, reference)
     scales = jacobian(lattice_px[np.isfinite(lattice_px).all(axis=1)], reference, at_mean_height(target))
     scales = scales[np.isfinite(scales).all(axis=(1, 2))]
     outline = footprint_px(target, reference)

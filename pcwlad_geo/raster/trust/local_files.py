@@ -17,7 +17,7 @@ from pcwlad_geo.raster.trust.destinations import Destination, destination, split
 
 SIDECARS: Final = (".ovr", ".msk")
 """Endings of the names of overviews and masks beside a raster."""
-_SUBFILE: Final = re.compile(r"/vsisubfile/(\d+)_(\d+)[^,]*,(/vsigzip/)?(.*)", re.DOTALL)
+_PART_OF_FILE: Final = re.compile(r"/vsisubfile/(\d+)_(\d+)[^,]*,(/vsigzip/)?(.*)", re.DOTALL)
 _UNREADABLE: Final = (
     OSError,
     KeyError,
@@ -59,7 +59,7 @@ class OnDisk:
     def read(self, most: int) -> bytes:
         """Return at most so many of its first bytes; none where it cannot be read."""
         try:
-            inside = _SUBFILE.fullmatch(self.within)
+            inside = _PART_OF_FILE.fullmatch(self.within)
             packed = bool(self.within) and (inside is None or inside[3])
             with gzip.open(self.path) if packed else self.path.open("rb") as file:
                 file.seek(int(inside[1]) if inside else 0)
@@ -157,7 +157,7 @@ def place_of(place: Destination) -> Place:
     inside = split_archive(place.path)
     if inside is not None:
         return InArchive(*inside, place.path)
-    subfile = _SUBFILE.fullmatch(place.path)
+    subfile = _PART_OF_FILE.fullmatch(place.path)
     if subfile is not None:
         return OnDisk(Path(subfile[4]), place.path)
     if place.path.startswith("/vsigzip/"):
