@@ -20,7 +20,7 @@ from tests.earth import GEOSTATIONARY, LONLAT, SINUSOIDAL, Raster
 
 SHIFT_PX: Final = (1.3, -0.7)
 RIGHT_PX: Final = 0.05
-SETTINGS: Final = Settings(features=60, window=41, template=61, jobs=1)
+SETTINGS: Final = Settings(jobs=1)
 MERCATOR_M: Final = 20037508.342789244
 
 

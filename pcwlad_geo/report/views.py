@@ -377,8 +377,9 @@ class _Viewer:
         reference, target = self.registration.reference, self.registration.target
         target_px_per_px = 1.0
         if reference.georeferenced and target.georeferenced:
-            ratio = abs(np.linalg.det(jacobian(centre_px[None], reference.grid, target.grid)[0])) ** 0.5
-            target_px_per_px = float(ratio) if np.isfinite(ratio) and ratio > 0 else 1.0
+            step = jacobian(centre_px[None], reference.grid, target.grid)[0]
+            if np.isfinite(step).all():  # else the place is not on the earth, or out of the target's sight
+                target_px_per_px = float(abs(np.linalg.det(step))) ** 0.5 or 1.0
         lengths = np.hypot(*self.registration.tie_points.select(*KEPT).displacement_px.T)
         wanted_px = (
             self.parameters.sides_per_displacement * float(np.median(lengths))

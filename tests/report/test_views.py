@@ -11,10 +11,12 @@ import pytest
 import rasterio
 
 from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, RegistrationRejectedError
+from pcwlad_geo.job import match_files
 from pcwlad_geo.raster import Patch, View, Window
 from pcwlad_geo.registration import Registration
 from pcwlad_geo.report.views import VIEWS, pair_views, read_backdrop, red_cyan, stretched, whole_view
+from tests.earth import GEOSTATIONARY, Raster
 from tests.registrations import SHIFT_PX, of_files
 from tests.scenes import write
 
@@ -197,3 +199,16 @@ def test_stretched() -> None:
     assert grey[-1, -1] == 255
     assert stretched(np.ones((2, 2)), np.zeros((2, 2), bool)).max() == 0
     assert stretched(np.ones((2, 2)), np.ones((2, 2), bool)).tolist() == [[1, 1], [1, 1]]
+
+
+def test_middle_out_of_sight_of_the_target(tmp_path: Path) -> None:
+    """The page of a refused pair whose reference has its middle beyond the horizon of the target."""
+    west, east = (GEOSTATIONARY.format(lon) for lon in (-137, -75))
+    bounds = {"px_m": 80_000.0, "bounds": (-5.4e6, 0.8e6, 1.1e6, 5.4e6)}
+    paths = [
+        Raster(name, crs, shape=(65, 90), **bounds).write(tmp_path)
+        for name, crs in (("west", west), ("east", east))
+    ]
+    with pytest.raises(RegistrationRejectedError, match="no structure to match"):
+        match_files(*paths, out_dir=tmp_path / "out", jobs=1)
+    assert (tmp_path / "out/report.html").exists()
