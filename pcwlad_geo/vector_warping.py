@@ -190,26 +190,26 @@ def moved_vectors(
     Raises `InputError` if a file cannot be read, has no CRS that relates to the target's, or the target has
     an RPC.
     """
-    moved = []
+    files = []
     for number, source in enumerate(sources):
         on_event(Progress("vectors", number, len(sources)))
-        moved.append(tuple(_moved_layers(source, movement, on_event)))
-    return moved
+        files.append(tuple(_moved_layers(source, movement, on_event)))
+    return files
 
 
 def write_vectors(
-    moved: Sequence[Sequence[VectorLayer]],
+    files: Sequence[Sequence[VectorLayer]],
     sources: Sequence[str],
     places: Sequence[Path],
     *,
     overwrite: bool,
     on_event: EventCallback,
 ) -> None:
-    """Write moved layers, those of each file to its place, and the styles that lie beside the `sources`.
+    """Write the moved layers of `files`, each to its place, and the styles that lie beside the `sources`.
 
     Raises `OutputError` if a file cannot be written; those before it are kept.
     """
-    for layers, source, place in zip(moved, sources, places, strict=True):
+    for layers, source, place in zip(files, sources, places, strict=True):
         with stage_inside(place.parent) as stage:
             for number, layer in enumerate(layers):
                 driver = WRITTEN[place.suffix.lower()]
@@ -267,8 +267,8 @@ def _moved_layer(layer: VectorLayer, movement: Movement, name: str, on_event: Ev
         shapes = np.asarray(shapely.from_wkb(layer.geometry), dtype=object)
     except (shapely.errors.ShapelyError, ValueError) as error:
         raise InputError(f"{what} has a damaged geometry: {error}") from error
-    moved, sigma_m = moved_shapes(shapes, movement, what, on_event)
-    layer = replace(layer, geometry=np.asarray(shapely.to_wkb(moved), dtype=object))
+    geometries, sigma_m = moved_shapes(shapes, movement, what, on_event)
+    layer = replace(layer, geometry=np.asarray(shapely.to_wkb(geometries), dtype=object))
     return layer if movement.precision is None else _with_sigma(layer, sigma_m, name)
 
 
@@ -282,10 +282,10 @@ def moved_shapes(
     target has no place for a vertex.
     """
     tally = Tally()
-    moved, sigma_m = np.empty(len(shapes), dtype=object), np.full(len(shapes), np.nan)
+    geometries, sigma_m = np.empty(len(shapes), dtype=object), np.full(len(shapes), np.nan)
     for kind in np.unique(shapely.get_type_id(shapes)):
         of_kind = shapely.get_type_id(shapes) == kind
-        moved[of_kind], sigma_m[of_kind] = _moved(shapes[of_kind], movement, tally)
+        geometries[of_kind], sigma_m[of_kind] = _moved(shapes[of_kind], movement, tally)
     if tally.lost:
         raise InputError(
             f"{what} has {tally.lost} vertices that the target's CRS cannot hold: clip it to the "
@@ -298,7 +298,7 @@ def moved_shapes(
                 "correction is extrapolated: check them"
             )
         )
-    return moved, sigma_m
+    return geometries, sigma_m
 
 
 def _with_sigma(layer: VectorLayer, sigma_m: Float64, name: str) -> VectorLayer:

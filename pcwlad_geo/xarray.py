@@ -273,10 +273,10 @@ def _placed(
 
 def _figures(dates: list[PlacedDate]) -> dict[str, np.ndarray[Any, Any]]:
     """Return what is known of the places of images, by the names of the coordinates."""
-    moved = np.array([date.displacement_m for date in dates])
+    displacement_m = np.array([date.displacement_m for date in dates])
     return {
-        "dx_m": moved[:, 0],
-        "dy_m": moved[:, 1],
+        "dx_m": displacement_m[:, 0],
+        "dy_m": displacement_m[:, 1],
         "sigma_m": np.array([date.sigma_m for date in dates]),
         "grade": np.array([date.grade for date in dates]),
         "reason": np.array([date.reason for date in dates]),

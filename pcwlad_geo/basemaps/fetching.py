@@ -289,8 +289,8 @@ def _tile(service: Service, tile: Tile) -> Pixels:
         size = " x ".join(map(str, values.shape[:0:-1]))
         raise _MissingError(f"of another kind ({size} px, {values.dtype})")
     colours = values[:3] if len(values) >= 3 else values[[0, 0, 0]]
-    shown = colours[:, alpha > 0]
-    if shown.size == 0 or (shown == shown[:, :1]).all():
+    opaque = colours[:, alpha > 0]
+    if opaque.size == 0 or (opaque == opaque[:, :1]).all():
         raise _MissingError("of one colour")
     return np.concatenate([colours, np.where(alpha > 0, 255, 0).astype(np.uint8)[None]])
 

@@ -48,12 +48,12 @@ def wmts(name: str, read: Callable[[str], bytes]) -> Service:
         )
     links = [_text(link, "TileMatrixSet") for link in layer.iterfind("TileMatrixSetLink")]
     sets = {_text(each, "Identifier"): each for each in root.iterfind("Contents/TileMatrixSet")}
-    chosen = sets.get(wanted.get("tilematrixset") or next((link for link in links if link in sets), ""))
-    if chosen is None:
+    matrix_set = sets.get(wanted.get("tilematrixset") or next((link for link in links if link in sets), ""))
+    if matrix_set is None:
         raise InputError(f"WMTS:{public_name(address)}: give tilematrixset={' or '.join(links)}")
-    grid, tile_px, identifiers = _matrices(chosen, public_name(address))
+    grid, tile_px, identifiers = _matrices(matrix_set, public_name(address))
     values = {
-        "TileMatrixSet": _text(chosen, "Identifier"),
+        "TileMatrixSet": _text(matrix_set, "Identifier"),
         "Style": wanted.get("style") or _text(layer, "Style/Identifier"),
     }
     values |= {_text(each, "Identifier"): _text(each, "Default") for each in layer.iterfind("Dimension")}
@@ -66,12 +66,12 @@ def wmts(name: str, read: Callable[[str], bytes]) -> Service:
     return Service(f"{public_name(address)} ({title})", grid, tile_px, len(identifiers) - 1, url)
 
 
-def _matrices(chosen: ET.Element, address: str) -> tuple[Grid, int, list[str]]:
+def _matrices(matrix_set: ET.Element, address: str) -> tuple[Grid, int, list[str]]:
     """Return the grid of the coarsest matrix, the side of a tile, and the names of the matrices by zoom."""
     try:
-        crs = CRS.from_user_input(_text(chosen, "SupportedCRS"))
+        crs = CRS.from_user_input(_text(matrix_set, "SupportedCRS"))
         matrices = sorted(
-            chosen.iterfind("TileMatrix"), key=lambda each: -float(_text(each, "ScaleDenominator"))
+            matrix_set.iterfind("TileMatrix"), key=lambda each: -float(_text(each, "ScaleDenominator"))
         )
         scales = [float(_text(each, "ScaleDenominator")) for each in matrices]
         coarsest = matrices[0]
@@ -83,7 +83,7 @@ def _matrices(chosen: ET.Element, address: str) -> tuple[Grid, int, list[str]]:
     doubled = all(abs(scales[0] / scale / 2**zoom - 1) < 1e-6 for zoom, scale in enumerate(scales))
     if not doubled or high != tile_px:
         raise InputError(
-            f"WMTS:{address}: the zooms of its tilematrixset {_text(chosen, 'Identifier')} do not "
+            f"WMTS:{address}: the zooms of its tilematrixset {_text(matrix_set, 'Identifier')} do not "
             "double the pixels: choose another one, or save the part that you need as a file (gdal_translate)"
         )
     if crs.is_geographic:  # the standard has latitude first

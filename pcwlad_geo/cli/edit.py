@@ -174,13 +174,13 @@ def _answer(
 
 def _improve(editor: Editor, request: dict[str, Any], off: set[int], deleted: set[int], tell: Tell) -> None:
     """Refine all points that are on, one after the other, and tell which the others contradict."""
-    most_px, gone = editor.parameters.radius_px, set(deleted)
+    most_px, replaced = editor.parameters.radius_px, set(deleted)
     radius_px = min(float(request.get("radius_px", most_px)), most_px)
     for row in sorted(set(range(len(editor.table))) - off - deleted):
-        refined = editor.improve(row, radius_px, gone)
-        gone |= {row} if refined else set()
+        refined = editor.improve(row, radius_px, replaced)
+        replaced |= {row} if refined else set()
         tell("improved", {"row": row, "point": _last(editor) if refined else None})
-    tell("contradicting", {"rows": editor.contradicting(off | gone)})
+    tell("contradicting", {"rows": editor.contradicting(off | replaced)})
 
 
 def _last(editor: Editor) -> dict[str, object]:

@@ -58,8 +58,8 @@ def similarity(
     if factor <= 0:
         raise InputError(f"scale = {factor:g}: give a scale above 0")
     turned = SimilarityTransform.from_angle(math.radians(angle), factor)
-    moved = ShiftTransform.by(centre + offset) @ turned @ ShiftTransform.by(-centre)
-    return affine(moved.matrix[:2], name="similarity")
+    similarity = ShiftTransform.by(centre + offset) @ turned @ ShiftTransform.by(-centre)
+    return affine(similarity.matrix[:2], name="similarity")
 
 
 @checked("matrix")

@@ -70,14 +70,14 @@ def plot_arrows(
     if backdrop is not None:
         draw_backdrop(ax, backdrop)
     used = points.status != "rejected"
-    known = np.flatnonzero(used & np.isfinite(arrows_px).all(axis=1))
-    chosen = known[:: max(1, -(-len(known) // STYLE.most_arrows))]
-    draw_arrows(ax, points.reference_px[chosen], arrows_px[chosen], max(rows, cols), "tab:red", scale)
+    matches = np.flatnonzero(used & np.isfinite(arrows_px).all(axis=1))
+    rows_drawn = matches[:: max(1, -(-len(matches) // STYLE.most_arrows))]
+    draw_arrows(ax, points.reference_px[rows_drawn], arrows_px[rows_drawn], max(rows, cols), "tab:red", scale)
     rejected = points.reference_px[~used]
     if len(rejected):
         ax.plot(*rejected.T, "x", color="tab:blue", markersize=4, label=f"{len(rejected)} rejected")
         ax.legend(loc="lower right")
-    ax.set_title(f"{what}, {len(known)} tie points", loc="left")
+    ax.set_title(f"{what}, {len(matches)} tie points", loc="left")
     label_pixels(ax, (rows, cols), "reference")
     return ax
 
@@ -99,10 +99,10 @@ def plot_lattice(
     arrows_px = forward(at_px) - at_px
     sigma_px = np.hypot(*sigma(at_px).T).reshape(counts[::-1])
     if sigma_px.any():
-        shown = ax.imshow(
+        image = ax.imshow(
             sigma_px, cmap="YlOrBr", extent=(0, cols, rows, 0), interpolation="bilinear", vmin=0
         )
-        ax.figure.colorbar(shown, ax=ax, label="sigma, px", shrink=0.8)
+        ax.figure.colorbar(image, ax=ax, label="sigma, px", shrink=0.8)
     draw_arrows(ax, at_px, arrows_px, max(shape), "black")
 
 
@@ -110,11 +110,11 @@ def draw_arrows(
     ax: Axes, at_px: Float64, arrows_px: Float64, side_px: int, color: str, scale: float | None = None
 ) -> None:
     """Draw the (n, 2) `arrows_px` at the (n, 2) `at_px` (col, row), longer than they are, and their key."""
-    known = np.isfinite(arrows_px).all(axis=1)
-    typical = float(np.median(np.hypot(*arrows_px[known].T))) if known.any() else 0.0
+    finite = np.isfinite(arrows_px).all(axis=1)
+    typical = float(np.median(np.hypot(*arrows_px[finite].T))) if finite.any() else 0.0
     scale = scale or nice_number(STYLE.typical_arrow * side_px / (typical or 1.0))
     look: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1 / scale, "width": 0.003}
-    quiver = ax.quiver(*at_px[known].T, *arrows_px[known].T, color=color, **look)
+    quiver = ax.quiver(*at_px[finite].T, *arrows_px[finite].T, color=color, **look)
     key_px = nice_number(typical or 1.0)
     ax.quiverkey(quiver, 0.9, 1.03, key_px, f"{key_px:g} px, drawn x {scale:g}", labelpos="W")
 
@@ -124,11 +124,11 @@ def draw_backdrop(ax: Axes, raster: Raster) -> None:
     rows, cols = raster.shape
     values = raster.array if raster.array.ndim == 2 else raster.array[0]
     step = max(1, -(-max(rows, cols) // STYLE.backdrop_px))
-    shown: Any = np.ma.masked_invalid(np.ma.asarray(values)[::step, ::step].astype(np.float64))
-    if shown.count() == 0:
+    pixels: Any = np.ma.masked_invalid(np.ma.asarray(values)[::step, ::step].astype(np.float64))
+    if pixels.count() == 0:
         return
-    low, high = np.percentile(shown.compressed(), STYLE.clipped)
-    ax.imshow(shown, cmap="gray", vmin=low, vmax=high, alpha=STYLE.paleness, extent=(0, cols, rows, 0))
+    low, high = np.percentile(pixels.compressed(), STYLE.clipped)
+    ax.imshow(pixels, cmap="gray", vmin=low, vmax=high, alpha=STYLE.paleness, extent=(0, cols, rows, 0))
 
 
 def label_pixels(ax: Axes, shape: tuple[int, int], name: str) -> None:

@@ -123,14 +123,14 @@ class Registration(inner.Registration):
 
 def _with_files(result: Registration, scratch: Scratch, folder: Path, *, overwrite: bool) -> Registration:
     """Return a result whose rasters are files of a folder instead of a temporary place."""
-    moved: dict[str, str] = {}
+    copies: dict[str, str] = {}
 
     def moved_to(uri: Any) -> Any:  # noqa: ANN401  # a path, a text or None
         if uri is None or not scratch.holds(os.fspath(uri)):
             return uri
-        if os.fspath(uri) not in moved:
-            moved[os.fspath(uri)] = scratch.copy(os.fspath(uri), folder, overwrite=overwrite)
-        return moved[os.fspath(uri)]
+        if os.fspath(uri) not in copies:
+            copies[os.fspath(uri)] = scratch.copy(os.fspath(uri), folder, overwrite=overwrite)
+        return copies[os.fspath(uri)]
 
     reference, target = (
         replace(info, uri=moved_to(info.uri), mask_uri=moved_to(info.mask_uri))

@@ -153,6 +153,6 @@ def _draw(
     if not registration.settings.no_report:
         from pcwlad_geo.report.page import compose
 
-        shown = replace(registration, reference=registration.fetched or registration.reference)
-        drawings = compose(shown, report, gcps, precision)
+        pair = replace(registration, reference=registration.fetched or registration.reference)
+        drawings = compose(pair, report, gcps, precision)
     return report, drawings, time.perf_counter() - since

@@ -146,14 +146,14 @@ class Product:
         nearest = min(middles, key=lambda band: abs(middles[band] - low))
         inside = tuple(band for band in self._lit() if low <= middles.get(band, -1.0) <= high)
         near = abs(middles[nearest] - low) <= max(nearest.width_nm, _NEAR_NM)
-        chosen = inside if match["high"] else (nearest,) if near else ()
-        if not chosen:
+        bands = inside if match["high"] else (nearest,) if near else ()
+        if not bands:
             raise InputError(
                 f"{self.path} ({self.kind}) has no band at {name}: it holds {len(middles)} from "
                 f"{min(middles.values()):.0f} to {max(middles.values()):.0f} nm, without those that "
                 "water in the air darkens"
             )
-        return chosen
+        return bands
 
     def _lit(self) -> tuple[ProductBand, ...]:
         """Return the bands that sunlight reaches through the air, all where no wavelength is known."""

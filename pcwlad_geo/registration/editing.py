@@ -104,7 +104,7 @@ class Editor:
         reference_xy: tuple[float, float],
         target_xy: tuple[float, float] | None,
         radius_px: float = EditingParameters().radius_px,
-        gone: Collection[int] = (),
+        deleted: Collection[int] = (),
         target_px: tuple[float, float] | None = None,
     ) -> bool:
         """Add a point at two places, each on its own map; return whether matching has refined it.
@@ -112,7 +112,7 @@ class Editor:
         The pixel shown in the reference is sought in the target, or else the nearest corner that no other
         point is at, within `radius_px` (matching-grid px) of either place. Where there is none, the point is
         as it was shown, with a sigma of a pixel. The map coordinates (x, y) are in the CRS of each raster; a
-        target whose place is not known is shown by a pixel (col, row) instead. The rows `gone` were taken
+        target whose place is not known is shown by a pixel (col, row) instead. The rows `deleted` were taken
         away, numbered from 0. Raises `InputError` where a point lies already,
         or neither raster is.
         """
@@ -123,14 +123,14 @@ class Editor:
         in_target = target_px or target_xy or ()
         if len(in_target) != 2 or not np.isfinite([*reference_xy, *in_target]).all():
             raise InputError(message)
-        shown = [np.array([xy], dtype=np.float64) for xy in (reference_xy, in_target)]
+        places = [np.array([xy], dtype=np.float64) for xy in (reference_xy, in_target)]
         to_px = views.target.info.grid.to_px
-        places_px = views.reference.info.grid.to_px(shown[0]), shown[1] if target_px else to_px(shown[1])
+        places_px = views.reference.info.grid.to_px(places[0]), places[1] if target_px else to_px(places[1])
         if not np.abs(np.concatenate(places_px)).max() <= self.parameters.far_px:
             raise InputError(message)
-        return self._add(places_px[0], places_px[1], radius_px, gone)
+        return self._add(places_px[0], places_px[1], radius_px, deleted)
 
-    def improve(self, row: int, radius_px: float, gone: Collection[int] = ()) -> bool:
+    def improve(self, row: int, radius_px: float, deleted: Collection[int] = ()) -> bool:
         """Append a point of a row as matching refines it, and return whether it could.
 
         Where there is no match within `radius_px` (matching-grid px), the table stays as it is.
@@ -138,7 +138,7 @@ class Editor:
         before, roles = self.table, self._roles
         place_px, target_px = before.reference_px[row : row + 1], before.target_px[row : row + 1]
         with suppress(InputError):  # another one lies there
-            if self._add(place_px, target_px, radius_px, {*gone, row}):
+            if self._add(place_px, target_px, radius_px, {*deleted, row}):
                 return True
         self.table, self._roles = before, roles
         return False
@@ -164,11 +164,11 @@ class Editor:
         return sorted(wrong)
 
     def _add(
-        self, reference_px: Float64, target_px: Float64, radius_px: float, gone: Collection[int]
+        self, reference_px: Float64, target_px: Float64, radius_px: float, deleted: Collection[int]
     ) -> bool:
         """Add a point at two (1, 2) file positions, refined where it can be, as `add` does."""
         views, places_px = self._pair.views, (reference_px, target_px)
-        other_px = np.delete(self.table.reference_px, list(gone), axis=0)
+        other_px = np.delete(self.table.reference_px, list(deleted), axis=0)
         taken_px = views.reference.from_file_px(other_px)
         off_px = np.abs(taken_px - views.reference.from_file_px(places_px[0])).max(axis=1)
         if (off_px < self.parameters.spacing_px).any():
@@ -184,14 +184,14 @@ class Editor:
         self.table = joined(self.table, place(reference_px, matched_px, covariance_px2, score, views))
         return refined is not None
 
-    def save(self, path: Path, off: Collection[int], gone: Collection[int] = ()) -> None:
-        """Write the points but those `gone`; those `off` are not enabled.
+    def save(self, path: Path, off: Collection[int], deleted: Collection[int] = ()) -> None:
+        """Write the points but those `deleted`; those `off` are not enabled.
 
         The file is one of the QGIS Georeferencer, or by its name the CSV, which keeps their sigmas.
         """
         status = np.full(len(self.table), "matched", dtype="<U8")
         status[list(off)] = "rejected"
-        remaining = np.delete(np.arange(len(status)), list(gone))
+        remaining = np.delete(np.arange(len(status)), list(deleted))
         table, target = replace(self.table, status=status)[remaining], self._pair.target
         if path.suffix == ".csv":
             write_csv(table, path)

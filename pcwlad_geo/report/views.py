@@ -188,11 +188,11 @@ def pair_views(registration: Registration, parameters: ViewParameters = VIEWS) -
         views = [viewer.view(title, centre_px) for title, centre_px in viewer.places()]
     except (InputError, RasterioError):
         return []
-    shown: list[PairView] = []
+    distinct: list[PairView] = []
     for view in views:
-        if view is not None and not any(_same_place(view, other) for other in shown):
-            shown.append(view)
-    return shown
+        if view is not None and not any(_same_place(view, other) for other in distinct):
+            distinct.append(view)
+    return distinct
 
 
 def _same_place(view: PairView, other: PairView) -> bool:

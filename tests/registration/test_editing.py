@@ -125,7 +125,7 @@ def test_a_point_is_never_put_onto_another(folder: Path) -> None:
     others, added = cKDTree(editor.table.reference_px[:count]), editor.table.reference_px[count:]
     assert len(added) > 3
     assert others.query(added, p=np.inf)[0].min() >= 2.9
-    assert editor.add(*on_the_maps(there_px, there_px + SHIFT_PX), gone=[40])  # that one was taken away
+    assert editor.add(*on_the_maps(there_px, there_px + SHIFT_PX), deleted=[40])  # that one was taken away
 
 
 def test_a_point_moves_no_farther_than_the_radius(folder: Path) -> None:
@@ -140,7 +140,7 @@ def test_a_point_moves_no_farther_than_the_radius(folder: Path) -> None:
 def test_points_that_are_gone_are_not_written_and_sigmas_are_kept(folder: Path, tmp_path: Path) -> None:
     editor = editor_of(folder)
     count = len(editor.table)
-    editor.save(tmp_path / "p.csv", off=[3], gone=[1, 2])
+    editor.save(tmp_path / "p.csv", off=[3], deleted=[1, 2])
     lines = [line.split(",") for line in (tmp_path / "p.csv").read_text().splitlines()[1:]]
     assert len(lines) == count - 2
     assert [line[-1] for line in lines[:2]] == ["matched", "rejected"]

@@ -97,19 +97,19 @@ def place_dates(
         )
     with trusting(job.settings.trust):
         dates = write_scenes(cube, mask, layout, scratch, job.tell)
-        shown = [scene for scene in dates if scene.valid.any()]
-        if len(shown) < 2:
-            raise InputError(f"{len(shown)} of the {len(dates)} dates show valid pixels: give more")
-        if number is not None and dates[number] not in shown:
+        usable = [scene for scene in dates if scene.valid.any()]
+        if len(usable) < 2:
+            raise InputError(f"{len(usable)} of the {len(dates)} dates show valid pixels: give more")
+        if number is not None and dates[number] not in usable:
             raise InputError(f"reference = {reference!r}: its image has no valid pixel: name another date")
         references = [_image(reference, dates[0], scratch)] if _is_image(reference) else []
-        datum = None if medians else shown.index(dates[number]) if number is not None else 0
-        placements = _placements(job, [*references, *shown], len(references), datum)
+        datum = None if medians else usable.index(dates[number]) if number is not None else 0
+        placements = _placements(job, [*references, *usable], len(references), datum)
         if medians:
             references = _medians(dates, placements, layout, reference, scratch)
             again = replace(job, measurements={})  # pairs of dates are read from their folders
             if references:
-                placements = _placements(again, [*references, *shown], len(references), 0)
+                placements = _placements(again, [*references, *usable], len(references), 0)
     empty = PlacedDate("", "refused", "it has no valid pixel")
     return [placements.get(scene.given.name, replace(empty, file=scene.given.path)) for scene in dates]
 

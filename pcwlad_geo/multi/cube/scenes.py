@@ -128,8 +128,8 @@ def write_median(files: list[str], name: str, layout: CubeLayout, scratch: Scrat
             with open_raster(uri) as file:
                 parts.append(file.read(1, window=window))
         values = np.stack(parts)
-        shown = np.isfinite(values).any(axis=0)
-        median[top : top + step][shown] = np.nanmedian(values[:, shown], axis=0)
+        valid = np.isfinite(values).any(axis=0)
+        median[top : top + step][valid] = np.nanmedian(values[:, valid], axis=0)
     for uri in files:
         Path(uri).unlink()
     raster = Raster(median, layout.grid.transform, layout.grid.crs, np.nan)
