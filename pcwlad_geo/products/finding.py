@@ -32,6 +32,8 @@ KINDS: Final = Registry(
         "pcwlad_geo.products.maja:MAJA",
         "pcwlad_geo.products.spectral:ENMAP",
         "pcwlad_geo.products.spectral:DESIS",
+        "pcwlad_geo.products.hdf5_cubes:PRISMA",
+        "pcwlad_geo.products.hdf5_cubes:EMIT",
         "pcwlad_geo.products.ecostress:ECOSTRESS",
         "pcwlad_geo.products.stac:STAC",
     ),

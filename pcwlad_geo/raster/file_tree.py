@@ -8,16 +8,22 @@ import re
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import IO, Final
+from typing import IO, TYPE_CHECKING, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import LIMITS, check_count, check_unpacked
+from pcwlad_geo.raster.cubes import array_uri, open_hdf5
+from pcwlad_geo.raster.opening import check_source
 from pcwlad_geo.text import read_bytes
 from pcwlad_geo.types import PathLike
+
+if TYPE_CHECKING:
+    import h5py
 
 _ZIP: Final = (".zip",)
 _TAR: Final = (".tar", ".tar.gz", ".tgz")
@@ -81,6 +87,23 @@ class FileTree:
         except (KeyError, *_ARCHIVE_ERRORS) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
         return data.decode("utf-8", errors="replace")
+
+    @contextmanager
+    def open_hdf5(self, name: str) -> Iterator[h5py.File]:
+        """Open an HDF5 or netCDF-4 file for reading its structure, after the check that all of it is inside.
+
+        Raises `InputError` if it lies in an archive, is damaged or lacks what is read, or h5py is missing,
+        and `TrustError` if it refers to other files.
+        """
+        if self.prefix:
+            raise InputError(f"{name} of {self.path} is read from a file of its own only: unpack it")
+        check_source(str(self.path / name))
+        with open_hdf5(self.path / name) as file:
+            yield file
+
+    def array_uri(self, name: str, array: str) -> str:
+        """Return GDAL's name of an array of an HDF5 file, the path of which begins with a slash."""
+        return array_uri(self.path / name, array)
 
 
 def is_folder(path: PathLike) -> bool:

@@ -13,6 +13,7 @@ from typing import Annotated, Final
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.file_tree import plain_uri
 from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.trust.destinations import destination
 from pcwlad_geo.raster.trust.file_kinds import HEAD_BYTES, kind_of_head
 from pcwlad_geo.raster.trust.signing import signed, unsigned
 
@@ -202,4 +203,5 @@ def _files_of(uri: str) -> list[str]:
     Raises `InputError` if the raster cannot be opened.
     """
     with open_raster(uri) as dataset:
-        return [unsigned(file) for file in dataset.files]
+        files = dataset.files or [destination(uri).path]  # a cube of HDF5 is a VRT in memory
+        return [unsigned(file) for file in files]

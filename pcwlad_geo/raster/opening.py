@@ -20,6 +20,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError, TrustError
+from pcwlad_geo.raster.cubes import CubeReader, as_vrt
 from pcwlad_geo.raster.gdal import LIBRARY_ERRORS, ignoring, reading
 from pcwlad_geo.raster.trust.checks import check_file, check_named_by
 from pcwlad_geo.raster.trust.destinations import Destination, destination, gdal_name
@@ -86,6 +87,9 @@ def open_own(path: str | os.PathLike[str], **options: object) -> DatasetReader:
 
 
 def _dataset_of(uri: str, drivers: list[str] | None, options: dict[str, object]) -> DatasetReader:
+    cube = as_vrt(uri)
+    if cube is not None:
+        return CubeReader(uri, cube, options)
     return DatasetReader(gdal_name(signed(uri)), driver=drivers, **options)
 
 

@@ -19,6 +19,7 @@ from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.correction.models import AffineCorrection
+from pcwlad_geo.raster.cubes import as_vrt
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.opening import check_source, open_raster
 from pcwlad_geo.raster.trust.signing import unsigned
@@ -28,6 +29,7 @@ from pcwlad_geo.raster.trust.signing import unsigned
 _DROPPED_DOMAINS = frozenset(
     {"RPC", "GEOLOCATION", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "COLOR_PROFILE", "IMD"}
 )
+_PLACING = frozenset({"SRS", "GeoTransform", "GCPList"})
 Tags = dict[str, dict[str, str]]
 
 
@@ -149,6 +151,11 @@ def write_rpc_vrt(path: Path, target_path: str | Path, rpc: Mapping[str, str], *
 def describe_file(path: str | Path, final_path: Path) -> ET.Element:
     """Return the VRT of the raster `path` without georeferencing, which refers to it from `final_path`."""
     with open_raster(os.fspath(path)) as source:
+        if (cube := as_vrt(source.name)) is not None:
+            tree = ET.fromstring(cube)
+            for placed in [element for element in tree if element.tag in _PLACING]:
+                tree.remove(placed)
+            return tree
         return describe_pixels(source, reference_to(source, final_path), source.shape)
 
 

@@ -17,6 +17,7 @@ from rasterio.vrt import WarpedVRT
 
 from pcwlad_geo.correction.dense import DenseMapping
 from pcwlad_geo.raster import vrt
+from pcwlad_geo.raster.cubes import as_vrt
 from pcwlad_geo.raster.opening import open_own
 from pcwlad_geo.raster.writing import MemoryFolder
 
@@ -83,7 +84,7 @@ def dense_view_in_memory(
     with open_own(path) as file:
         tree = ET.fromstring(file.tags(ns="xml:VRT")["xml:VRT"])
     for element in tree.iter("SourceDataset"):
-        element.text = source.name
+        element.text = as_vrt(source.name) or source.name
         element.set("relativeToVRT", "0")
     _map_by_nodes(tree, mapping, nodes)
     return ET.tostring(tree, encoding="unicode")

@@ -1,0 +1,172 @@
+"""Cubes in HDF5 whose bands are not their first axis, PRISMA's and EMIT's, as VRTs of one slice a band."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+from xml.sax.saxutils import escape
+
+import numpy as np
+import rasterio
+from rasterio.crs import CRS
+from rasterio.io import DatasetReader
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.trust.local_files import OnDisk, Stamp
+from pcwlad_geo.types import Float64
+
+if TYPE_CHECKING:
+    import h5py
+
+_URI: Final = re.compile(r'HDF5:"?(?P<file>[^"]+?)"?:/(?P<array>/[^"]+)')
+"""GDAL's name of an array, spaces of whose path it writes as underscores."""
+_PRISMA: Final = re.compile(r"/HDFEOS/SWATHS/PRS_L(?P<level>1|2B|2C|2D)_HCO/Data Fields/(?:VNIR|SWIR)_Cube")
+_EMIT: Final = "/reflectance"
+_CORNERS: Final = (
+    *("Product_ULcorner_easting", "Product_ULcorner_northing"),
+    *("Product_LRcorner_easting", "Product_LRcorner_northing"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CubeParameters:
+    """How a cube without geotransform is placed."""
+
+    pixel_m: float = 30.0
+    """Pixel size of PRISMA L2D, by which corners of the image are told from centres of its pixels."""
+    points_across: int = 15
+    """Number of ground control points along rows and along columns."""
+    gdal: tuple[int, int] = (3, 9)
+    """The first version of GDAL that reads slices of arrays in a VRT; earlier ones give empty bands."""
+    fill: float = -9999.0
+    """Value of EMIT's pixels without data."""
+
+
+CUBES: Final = CubeParameters()
+"""The numbers in use."""
+
+
+class CubeReader(DatasetReader):  # type: ignore[misc]  # rasterio has no types
+    """A cube that is open as a VRT, and has the name by which it is opened again."""
+
+    def __init__(self, uri: str, cube: str, options: Mapping[str, object]) -> None:
+        super().__init__(cube, driver=["VRT"], **options)
+        self._uri = uri
+
+    @property
+    def name(self) -> str:
+        """GDAL's name of the array."""
+        return self._uri
+
+
+def array_uri(path: Path, array: str) -> str:
+    """Return GDAL's name of an array of a file."""
+    return f'HDF5:"{path}":/{array.replace(" ", "_")}'
+
+
+@contextmanager
+def open_hdf5(path: str | Path) -> Iterator[h5py.File]:
+    """Open an HDF5 file that was checked; raise `InputError` if it is damaged, or lacks what is read."""
+    try:
+        import h5py  # optional, and rarely needed
+    except ImportError as error:
+        raise InputError(f"{path}: pip install 'pcwlad-geo[hdf5]' to read its structure") from error
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
+    except (OSError, RuntimeError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(f"{path} is damaged, or lacks a part: {error}; get it again") from error
+
+
+def as_vrt(uri: str) -> str | None:
+    """Return the VRT of a cube by its name; None for all that GDAL opens as it should.
+
+    The file was checked. Raises `InputError` if the cube is damaged.
+    """
+    match = _URI.fullmatch(uri)
+    if match is None or not (match["array"] == _EMIT or match["array"].startswith("/HDFEOS/SWATHS/PRS_L")):
+        return None
+    if tuple(map(int, rasterio.__gdal_version__.split(".")[:2])) < CUBES.gdal:
+        raise InputError(
+            f"{uri} has its bands in the middle or last, which GDAL {rasterio.__gdal_version__} does not "
+            "read: update it to 3.9 (pip install -U rasterio)"
+        )
+    array, file = match["array"].replace("Data_Fields", "Data Fields"), OnDisk(Path(match["file"]))
+    return _vrt(match["file"], array, file.stamp())
+
+
+@lru_cache(maxsize=16)  # a job opens a file for every tile
+def _vrt(path: str, array: str, _: Stamp) -> str | None:
+    prisma = _PRISMA.fullmatch(array)
+    with open_hdf5(path) as file:
+        values = file[array]
+        if values.ndim != 3 or (prisma is None and "location/lon" not in file):
+            return None
+        if prisma:
+            rows, bands, cols = values.shape
+            view = ":,{},:"
+        else:
+            rows, cols, bands = values.shape
+            view = ":,:,{}"
+        kind = {"u2": "UInt16", "f4": "Float32"}[values.dtype.str[1:]]
+        place = (
+            _geotransform(file, (rows, cols))
+            if prisma and prisma["level"] == "2D"
+            else _control_points(*_geolocation(file, array, prisma is not None))
+        )
+    nodata = 0 if prisma else CUBES.fill
+    source = (
+        "<ArraySource><DerivedArray><SingleSourceArray><SourceFilename>"
+        f"{escape(str(Path(path).absolute()))}</SourceFilename><SourceArray>{escape(array)}</SourceArray>"
+        '</SingleSourceArray><Step><View expr="[{}]"/></Step></DerivedArray></ArraySource>'
+    )
+    parts = (
+        f'<VRTRasterBand dataType="{kind}" band="{band + 1}"><NoDataValue>{nodata}</NoDataValue>'
+        f"{source.format(view.format(band))}</VRTRasterBand>"
+        for band in range(bands)
+    )
+    return f'<VRTDataset rasterXSize="{cols}" rasterYSize="{rows}">{place}{"".join(parts)}</VRTDataset>'
+
+
+def _geotransform(file: Any, shape: tuple[int, int]) -> str:  # noqa: ANN401  # h5py has no types
+    """Return the elements that place a cube by the corners that its attributes tell."""
+    left, top, right, bottom = (float(file.attrs[name]) for name in _CORNERS)
+    crs = CRS.from_epsg(int(file.attrs["Epsg_Code"]))
+    rows, cols = shape
+    centres = abs((right - left) / (cols - 1) - CUBES.pixel_m) < abs((right - left) / cols - CUBES.pixel_m)
+    gaps = (cols - 1, rows - 1) if centres else (cols, rows)
+    px, py = (right - left) / gaps[0], (bottom - top) / gaps[1]
+    x, y = (left - px / 2, top - py / 2) if centres else (left, top)
+    return f"<SRS>{escape(crs.to_wkt())}</SRS><GeoTransform>{x!r},{px!r},0,{y!r},0,{py!r}</GeoTransform>"
+
+
+def _geolocation(file: Any, array: str, is_prisma: bool) -> tuple[Float64, Float64]:  # noqa: ANN401
+    """Return the longitudes and latitudes of all pixels."""
+    if not is_prisma:
+        group, names = file["location"], ("lon", "lat")
+    else:
+        group = file[array.partition("/Data Fields")[0] + "/Geolocation Fields"]
+        ending = f"_{array[-9:-5]}" if f"Longitude_{array[-9:-5]}" in group else ""
+        names = (f"Longitude{ending}", f"Latitude{ending}")
+    lon, lat = (np.asarray(group[name][()], np.float64) for name in names)
+    if lon.shape != lat.shape or lon.ndim != 2:
+        raise ValueError(f"{names[0]} has another shape than {names[1]}")
+    return lon, lat
+
+
+def _control_points(lon: Float64, lat: Float64) -> str:
+    """Return the list of ground control points at pixels spread over an image."""
+    rows, cols = (np.linspace(0, size - 1, CUBES.points_across).astype(int).tolist() for size in lon.shape)
+    places = [(row, col, float(lon[row, col]), float(lat[row, col])) for row in rows for col in cols]
+    points = "".join(
+        f'<GCP Id="" Pixel="{col + 0.5}" Line="{row + 0.5}" X="{x!r}" Y="{y!r}"/>'
+        for row, col, x, y in places
+        if abs(y) <= 90 and abs(x) <= 360 and (x or y)
+    )
+    wkt = escape(CRS.from_epsg(4326).to_wkt(), {'"': "&quot;"})
+    return f'<GCPList Projection="{wkt}" dataAxisToSRSAxisMapping="2,1">{points}</GCPList>'
