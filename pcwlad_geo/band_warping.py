@@ -15,7 +15,7 @@ from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.options import OutputGrid, Resampling, Settings
 from pcwlad_geo.outputs.bands import BandOutput, orthorectify_band, warp_band
 from pcwlad_geo.outputs.files import OUTPUT_NAMES
-from pcwlad_geo.outputs.folder import place_file, place_with_files, stage_inside
+from pcwlad_geo.outputs.folder import place_output, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster import (
     FileIdentity,
@@ -272,8 +272,7 @@ def apply(
             write(number, staged)
             check_unchanged(inputs[number])
             for kind, place in paths.items():
-                put = place_with_files if kind == "raster" else place_file
-                put(staged[kind], place, overwrite=overwrite)
+                place_output(kind, staged[kind], place, overwrite=overwrite)
     on_event(Progress("rasters", len(sources), len(sources)))
     return tuple(every)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -11,25 +10,24 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Final, Literal, TypedDict
+from typing import TYPE_CHECKING
 
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.arguments import checked
-from pcwlad_geo.basemaps.composed import compose, composed_as, resolvable
-from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError, SettingsError
+from pcwlad_geo.basemaps.composed import compose, composed_as
+from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.execution.workers import open_runner
 from pcwlad_geo.options import Settings
-from pcwlad_geo.outputs.files import OUTPUT_NAMES, outputs
-from pcwlad_geo.outputs.folder import OutputFolder, place_file, place_with_files
-from pcwlad_geo.outputs.places import check_outputs
+from pcwlad_geo.outputs.files import OUTPUT_NAMES
+from pcwlad_geo.outputs.folder import OutputFolder, place_output
 from pcwlad_geo.outputs.write import Written, write
-from pcwlad_geo.products.finding import stem_of
-from pcwlad_geo.raster import OutputFormat, check_unchanged, file_name, plain_name, trusting
+from pcwlad_geo.pair_job import Command, OutputPlaces, PairJob
+from pcwlad_geo.raster import check_unchanged, trusting
 from pcwlad_geo.raster.scratch import file_of
-from pcwlad_geo.registration import Inputs, check_output, resolve
+from pcwlad_geo.registration import check_output, resolve
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
@@ -42,83 +40,6 @@ if TYPE_CHECKING:
     from pcwlad_geo.products.product import ProductBand
     from pcwlad_geo.registration import Registration
     from pcwlad_geo.report.content import Report
-
-Command = Literal["register", "match"]
-Job = Literal["registered", "matched", "proof"]
-JOB_OF: Final[Mapping[Command, Job]] = {"register": "registered", "match": "matched"}
-"""How the output folder of a command is called by default, after the target."""
-
-
-class OutputPlaces(TypedDict, total=False):
-    """Where outputs go, as keywords."""
-
-    out_dir: PathLike | None
-    output_raster: PathLike | None
-    output_tiepoints: PathLike | None
-    output_report: PathLike | None
-    output_points: PathLike | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PairJob:
-    """A pair that is registered or matched, and what is written of it."""
-
-    command: Command
-    names: tuple[str, str]
-    """Reference and target as the user names them: paths, GDAL URIs or products."""
-    inputs: Inputs
-    settings: Settings
-    folder: Path
-    inside: Mapping[str, Path]
-    """Where each kind of output lies in the folder."""
-    elsewhere: Mapping[str, Path]
-    """Final places of the outputs that are wanted outside of it."""
-    overwrite: bool
-
-    @classmethod
-    def of(
-        cls,
-        command: Command,
-        names: tuple[str, str],
-        settings: Settings,
-        places: OutputPlaces,
-        *,
-        overwrite: bool,
-    ) -> PairJob:
-        """Find the inputs of a job, and the places of its outputs.
-
-        Raises `InputError` if a product, or a band of it, is missing, or options contradict the places.
-        """
-        if settings.no_report and places.get("output_report") is not None:
-            raise SettingsError("output_report names a page that no_report leaves out: give one of them")
-        inputs = resolve(resolvable(names[0]), names[1], settings, all_bands=command == "register")
-        folder = output_folder(names[1], JOB_OF[command], places.get("out_dir"))
-        inside = output_paths(inputs.target_file, command, settings.of, folder)
-        elsewhere = {
-            name.removeprefix("output_"): Path(str(path))
-            for name, path in places.items()
-            if name != "out_dir" and path
-        }
-        outside = {kind: path for kind, path in elsewhere.items() if path != inside[kind]}
-        return cls(command, names, inputs, settings, folder, inside, outside, overwrite)
-
-    @property
-    def places(self) -> dict[str, Path]:
-        """The final place of each kind of output."""
-        return {**self.inside, **self.elsewhere}
-
-    @property
-    def files(self) -> list[PathLike | None]:
-        """The files that it reads, and what else its inputs are named by."""
-        return [*self.names, *self.settings.files]
-
-    def band_paths(self, folder: OutputFolder) -> dict[ProductBand, Path]:
-        """Return where the other bands of the target's product are written."""
-        extension = OutputFormat.of(self.settings.of, self.settings.co).extension
-        return {
-            band: folder.path(plain_name(f"{Path(file_name(band.uri)).stem}_registered.{extension}"))
-            for band in self.inputs.other_bands
-        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,26 +169,6 @@ def write_match(
     ).accepted()
 
 
-def output_paths(target: PathLike, command: Command, driver: str, folder: Path) -> dict[str, Path]:
-    """Return where each kind of output lies in a folder that a command may write.
-
-    Files are named after the `target`, the band's file of a product, and the registered raster has the format
-    `driver`.
-    """
-    name = plain_name(file_name(os.fspath(target)))
-    stem, ending = Path(name).stem, OutputFormat(driver).extension
-    return {
-        output.kind: folder / output.name.format(name=name, stem=stem, ending=ending)
-        for output in outputs()
-        if command == "register" or not output.when.corrected
-    }
-
-
-def output_folder(target: PathLike, job: Job, out_dir: PathLike | None = None) -> Path:
-    """Return `out_dir`, or the default output folder of a job, in the working folder."""
-    return Path(out_dir or f"{plain_name(stem_of(target))}_{job}")
-
-
 def open_job_runner(
     settings: Settings, executor: Executor | Runner | None, on_event: EventCallback
 ) -> AbstractContextManager[Runner]:
@@ -308,7 +209,7 @@ def write_pair(
         # and without the lock of `ignoring`, for which these would wait.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         job = PairJob.of(command, names, settings, places, overwrite=overwrite)
-        _check_outputs(job)
+        job.check_outputs()
         composed = composed_as(names[0])
         with (
             OutputFolder(job.folder, overwrite=overwrite, inputs=job.files) as folder,
@@ -336,8 +237,7 @@ def write_pair(
             check_unchanged(file.identity for file in read_from)
             for kind in written.kinds:
                 if kind in job.elsewhere:
-                    put = place_with_files if kind == "raster" else place_file
-                    put(staged[kind], job.elsewhere[kind], overwrite=overwrite)
+                    place_output(kind, staged[kind], job.elsewhere[kind], overwrite=overwrite)
             folder.commit()
     return _reliable(_at_places(job, registration, written, bands))
 
@@ -371,19 +271,6 @@ def _reliable(pair: WrittenPair) -> WrittenPair:
         message = f"{pair.registration.reason} (report: {pair.page})"
         raise RegistrationRejectedError(message, pair.registration, pair.folder)
     return pair
-
-
-def _check_outputs(job: PairJob) -> None:
-    """Raise where an output cannot be made."""
-    if job.settings.pdf:
-        from pcwlad_geo.report.pdf import check_pdf
-
-        check_pdf()
-    check_outputs([*job.places.values()], job.files)
-    check_outputs([*job.elsewhere.values()], overwrite=job.overwrite)
-    OutputFormat.of(job.settings.of, job.settings.co)
-    if job.command == "register" and composed_as(job.names[0]) is None:
-        check_output(job.inputs)
 
 
 def _run(job: PairJob, executor: Executor | Runner | None, on_event: EventCallback) -> Registration:

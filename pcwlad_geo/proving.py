@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from pcwlad_geo.correction.proof_result import Proof
     from pcwlad_geo.options import Options
 
-from pcwlad_geo.job import open_job_runner, output_folder
+from pcwlad_geo.job import open_job_runner
+from pcwlad_geo.pair_job import output_folder
 
 PROOF_NAMES: Final = {"numbers": "proof.json", "report": "proof.html"}
 """File names of a proof."""

@@ -16,7 +16,7 @@ from pcwlad_geo.options import OUTPUT_OPTIONS, Settings
 from pcwlad_geo.text import check_exists, plain, visible
 
 if TYPE_CHECKING:  # slow to load: a mistake is reported before
-    from pcwlad_geo.job import Command, Job
+    from pcwlad_geo.pair_job import Command, Job
     from pcwlad_geo.report.content import GroupStatistics, Report
 
 FIGURES: Final = (
@@ -75,8 +75,8 @@ def do_pair(command: Command, params: Mapping[str, Any], on_event: EventCallback
 
 def abandon_pair(job: Job, params: Mapping[str, Any]) -> None:
     """Remove partly written files of a job on one pair."""
-    from pcwlad_geo.job import output_folder
     from pcwlad_geo.outputs.folder import abandon
+    from pcwlad_geo.pair_job import output_folder
 
     abandon(output_folder(params["target"], job, params["out_dir"]))
 

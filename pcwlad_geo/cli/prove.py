@@ -61,7 +61,7 @@ def prove_pair(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     settings = checked_options(params)
     for name in (params["reference"], params["target"]):
         check_exists(name)
-    from pcwlad_geo.job import output_folder
+    from pcwlad_geo.pair_job import output_folder
     from pcwlad_geo.proving import PROOF_NAMES, prove
 
     proof = prove(

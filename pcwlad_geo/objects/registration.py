@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, cast
 from pcwlad_geo import registration as inner
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, ignore
-from pcwlad_geo.job import Command, OutputPlaces, write_pair
+from pcwlad_geo.job import write_pair
 from pcwlad_geo.objects.correction import Correction
 from pcwlad_geo.objects.tie_points import TiePoints
 from pcwlad_geo.options import Settings
+from pcwlad_geo.pair_job import Command, OutputPlaces
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.report.finished import finished
 from pcwlad_geo.types import PathLike

@@ -22,6 +22,7 @@ from pcwlad_geo.objects.pairs import matched, prepared, resolved
 from pcwlad_geo.objects.registration import Registration
 from pcwlad_geo.objects.tie_points import TiePoints
 from pcwlad_geo.options import Model, PairOptions, Settings
+from pcwlad_geo.pair_job import output_folder
 from pcwlad_geo.pair_requirements import judge_requirements
 from pcwlad_geo.products.finding import find_product, no_product
 from pcwlad_geo.raster import Trust, check_unchanged, describe, trusting
@@ -289,7 +290,7 @@ def register(
             result = cast(inner.Registration, error.registration)
             error.registration = Registration.of(result, scratch=scratch, asked=(names, settings))
             raise
-    folder = out_dir or job.output_folder(names[1], "registered")
+    folder = out_dir or output_folder(names[1], "registered")
     try:
         registration = _in_memory(names, settings, scratch, executor, on_event)
     except (RegistrationRejectedError, RequirementError) as error:

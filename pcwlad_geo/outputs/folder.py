@@ -119,6 +119,14 @@ def place_with_files(staged: Path, final: str | os.PathLike[str], *, overwrite: 
         place_file(file, place.with_name((place.name if whole else place.stem) + ending), overwrite=overwrite)
 
 
+def place_output(kind: str, staged: Path, final: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Move a finished output to its final path; a raster takes the files that belong to it along.
+
+    The parameters and errors are those of `place_file`; `kind` is that of the output.
+    """
+    (place_with_files if kind == "raster" else place_file)(staged, final, overwrite=overwrite)
+
+
 @contextmanager
 def stage_inside(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a hidden folder, removed at the end of the context, for files to be moved by `place_file`.

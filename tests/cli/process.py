@@ -38,19 +38,22 @@ def output_folder(target, job, out_dir=None):
     return Path(out_dir or "b_registered")
 
 job = types.ModuleType("pcwlad_geo.job")
-job.register, job.write_pair, job.output_folder = register, write_pair, output_folder
+job.register, job.write_pair = register, write_pair
+pair_job = types.ModuleType("pcwlad_geo.pair_job")
+pair_job.output_folder = output_folder
 job.products_found_once = contextlib.nullcontext
 job.open_job_runner = lambda settings, executor, on_event: contextlib.nullcontext(
     types.SimpleNamespace(shares_jobs=False, threads=1)
 )
 """
-"""The module `pcwlad_geo.job` with a stand-in for the work."""
+"""The modules `pcwlad_geo.job` and `pcwlad_geo.pair_job` with a stand-in for the work."""
 STAND_IN = f"""
 import sys
 import pcwlad_geo
 from pcwlad_geo.__main__ import main
 {JOB}
 pcwlad_geo.job = sys.modules["pcwlad_geo.job"] = job
+pcwlad_geo.pair_job = sys.modules["pcwlad_geo.pair_job"] = pair_job
 main()
 """
 """The command line with a job that needs no libraries: its tests start many processes."""
@@ -106,8 +109,9 @@ def run_here(
     if work is not None:
         stand_in: dict[str, Any] = {}
         exec(JOB.format(work=_body(work)), stand_in)
-        patch.setattr(pcwlad_geo, "job", stand_in["job"])
-        patch.setitem(sys.modules, "pcwlad_geo.job", stand_in["job"])
+        for name in ("job", "pair_job"):
+            patch.setattr(pcwlad_geo, name, stand_in[name], raising=False)
+            patch.setitem(sys.modules, f"pcwlad_geo.{name}", stand_in[name])
         for name in ("register", "products_found_once", "open_job_runner"):
             patch.setattr(batch_run, name, getattr(stand_in["job"], name))
     out, err = io.StringIO(), io.StringIO()

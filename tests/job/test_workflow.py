@@ -21,6 +21,7 @@ from pcwlad_geo.correction.selection import choose
 from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.outputs import files
 from pcwlad_geo.outputs import write as writing
+from pcwlad_geo.pair_job import output_folder, output_paths
 from pcwlad_geo.raster import Grid
 from pcwlad_geo.registration import Inputs, Registration
 from tests.patience import PATIENCE_S
@@ -305,7 +306,7 @@ def test_an_interrupted_job_does_not_wait_for_the_page(
     [("a & b.tif", "a & b"), ("/vsizip/x.zip/b.tif", "b"), ('NETCDF:"n.nc":band', "NETCDF_n.nc_band")],
 )
 def test_names_of_outputs(target: str, stem: str) -> None:
-    paths = workflow.output_paths(target, "register", "COG", workflow.output_folder(target, "registered"))
+    paths = output_paths(target, "register", "COG", output_folder(target, "registered"))
     assert paths["numbers"].parent.name.endswith("_registered")
     assert not set(paths["raster"].name) & set('<>:"/\\|?*')
     if stem in ("a & b", "b"):

@@ -8,7 +8,7 @@ TESTS = Path(__file__).resolve().parents[1]
 REPOSITORY = TESTS.parent
 OF_MODULES = {
     "api",  # api.py and what the package exports
-    "job",  # job.py, band_warping.py, vector_warping.py and shifting.py: whole jobs
+    "job",  # job.py, pair_job.py, band_warping.py, vector_warping.py and shifting.py: whole jobs
     "common",  # limits, options, requirements, text, solving
 }
 """Modules that lie on top of the package have a folder too."""

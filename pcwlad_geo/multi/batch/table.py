@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from pcwlad_geo.errors import InputError, SettingsError
-from pcwlad_geo.job import output_folder
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.multi.batch.flight import Photo
 from pcwlad_geo.option_text import to_setting
 from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings
+from pcwlad_geo.pair_job import output_folder
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import read_text
 from pcwlad_geo.types import PathLike
