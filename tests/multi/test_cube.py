@@ -164,7 +164,7 @@ def beside(cube: Any) -> Any:
             lambda cube: cube.isel(time=[0, 1, 1]),
             r"1 times.* more than once \(2021-06-20T00:00:00\).*groupby",
         ),
-        (lambda cube: cube.assign_coords(time=[*cube.time.values[:3], np.datetime64("NaT")]), "NaT"),
+        (lambda cube: cube.assign_coords(time=[*cube.time.values[:3], np.datetime64("NaT", "ns")]), "NaT"),
         (lambda cube: cube.drop_vars("spatial_ref"), "the cube has no CRS: give it one"),
         (lambda cube: cube.assign_coords(epsg=("time", [32633, 32634, 32633, 32633])), "several CRSs.*32634"),
         (uneven, "coordinate x of the DataArray is not evenly spaced: resample"),
