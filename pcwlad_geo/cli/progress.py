@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Protocol, TextIO
 
@@ -93,16 +96,38 @@ def show_error(message: object, errors: TextIO | None = None) -> None:
     stream.flush()
 
 
+@dataclass
+class _WarningKinds:
+    """Counts warnings that differ in names and numbers only, of which a terminal shows the first few."""
+
+    most_shown: int = 3
+    """So many of a kind are shown; reports and JSON lines have all."""
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def shows(self, message: str) -> bool:
+        """Count a warning, and return whether it is shown."""
+        kind = re.sub(r"\S*[\d/\\]\S*", "…", message)
+        self.counts[kind] += 1
+        return self.counts[kind] <= self.most_shown
+
+    def rest(self) -> Iterator[str]:
+        """Yield a line for each kind of which not all were shown."""
+        for kind, count in self.counts.items():
+            if count > self.most_shown:
+                yield f"{count - self.most_shown} more of these: {kind}"
+
+
 class Quiet:
     """Warnings and errors on standard error, the result on standard output."""
 
     def __init__(self, errors: TextIO) -> None:
         self._errors = errors
+        self._kinds = _WarningKinds()
 
     def event(self, event: Event) -> None:
-        """Show a warning."""
-        if isinstance(event, Warned):
-            self._errors.write(f"warning: {one_line(event.message)}\n")
+        """Show a warning, unless several like it were shown."""
+        if isinstance(event, Warned) and self._kinds.shows(message := one_line(event.message)):
+            self._errors.write(f"warning: {message}\n")
 
     def result(self, figures: dict[str, object], summary: str) -> None:
         """Print the `summary`; `figures` are not shown."""
@@ -112,7 +137,8 @@ class Quiet:
             sys.stdout.flush()
         except (OSError, ValueError, AttributeError) as error:  # closed, full; the files are written already
             if not isinstance(error, BrokenPipeError):  # a reader that has ended wants no more
-                self.event(Warned(f"the summary cannot be written to standard output: {error}"))
+                reason = one_line(error)
+                self._errors.write(f"warning: the summary cannot be written to standard output: {reason}\n")
             sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115  # otherwise the last flush of the interpreter fails
 
     def error(self, message: str, details: dict[str, object]) -> None:
@@ -127,6 +153,8 @@ class Quiet:
 
     def _before_the_end(self) -> None:
         """Stop what is drawn; result, error or interruption stand below it."""
+        for line in self._kinds.rest():
+            self._errors.write(f"warning: {line}\n")
 
 
 class Bar(Quiet):
@@ -141,8 +169,9 @@ class Bar(Quiet):
         """Move the bar of a stage, or show a warning above the bars."""
         self._bars.start()
         if isinstance(event, Warned):
-            text = f"warning: {one_line(event.message)}"
-            self._bars.console.print(text, markup=False, highlight=False, soft_wrap=True)
+            if self._kinds.shows(message := one_line(event.message)):
+                text = f"warning: {message}"
+                self._bars.console.print(text, markup=False, highlight=False, soft_wrap=True)
             return
         if event.stage not in self._tasks:
             self._tasks[event.stage] = self._bars.add_task(event.stage, total=event.total)
@@ -152,6 +181,7 @@ class Bar(Quiet):
 
     def _before_the_end(self) -> None:
         self._bars.stop()
+        super()._before_the_end()
 
 
 class JsonLines:

@@ -91,6 +91,20 @@ def test_success_prints_a_summary(cli: Cli) -> None:
     assert result.stderr == "warning: two lines\n"
 
 
+@pytest.mark.parametrize("style", [(), ("--progress", "bar")])
+def test_few_of_many_warnings_that_differ_in_names_only(cli: Cli, style: tuple[str, ...]) -> None:
+    warning = '    on_event(Warned("two\\nlines"))\n'
+    many = "".join(f"    on_event(Warned('IMG_{n}: {n} px of c:/a/{n}.tif are dark'))\n" for n in range(9))
+    work = DONE.replace(warning, many)
+    assert work != DONE
+    shown = [line for line in cli(*BOTH, *style, work=work).stderr.splitlines() if "dark" in line]
+    assert [line.split(":")[1] for line in shown[:3]] == [" IMG_0", " IMG_1", " IMG_2"]
+    assert shown[3:] == ["warning: 6 more of these: … … px of … are dark"]
+    assert (
+        sum(event["event"] == "warning" for event in events(cli(*BOTH, "--progress", "json", work=work))) == 9
+    )
+
+
 def test_a_pose_of_another_scale_is_printed_instead_of_a_displacement(cli: Cli) -> None:
     printed = cli(*BOTH, work=POSED).stdout
     assert "found at scale 0.200 x 0.210, rotation 12.3 degrees\n" in printed
