@@ -17,7 +17,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import may_hold_product
-from pcwlad_geo.raster import RasterInfo, describe, jacobian, map_px, open_raster, transform_xy, vrt
+from pcwlad_geo.raster import Grid, RasterInfo, describe, jacobian, map_px, open_raster, transform_xy, vrt
 from pcwlad_geo.raster.file_tree import tree_of
 from pcwlad_geo.raster.vectors import VectorLayer, checked_vector, read_layers, sqlite_file
 from pcwlad_geo.registration import Inputs
@@ -72,14 +72,22 @@ def is_tiles(name: str) -> bool:
         return False
 
 
+def lattice_of(name: str) -> Grid:
+    """Return the grid of the first of the tiles, whose pixels those beside it continue.
+
+    Raises `InputError` if there is none, or it cannot be used.
+    """
+    return _described(_listed(name)[0][0].path).grid
+
+
 def gather(name: str, inputs: Inputs, path: Path) -> Settings:
     """Write the VRT of the tiles that a target needs; return the settings to match with it.
 
     They are those of its footprint, as the settings place it, within their extent, and a margin. Of a target
-    that nothing places they are all within the extent. Raises `InputError` if a tile is missing, damaged or
-    other than those beside it, or none shows the ground.
+    that nothing places it is what lies within the extent, cut out of them. Raises `InputError` if a tile is
+    missing, damaged or other than those beside it, or none shows the ground.
     """
-    listed, crs = _of_folder(Path(name)) if Path(name).is_dir() else _of_index(name)
+    listed, crs = _listed(name)
     first = _described(listed[0].path)
     box_px, settings = _needed(name, first, inputs)
     tiles = []
@@ -96,8 +104,13 @@ def gather(name: str, inputs: Inputs, path: Path) -> Settings:
             f"none of the {len(listed)} tiles of {name} shows ground of {inputs.target}: check the "
             "georeferencing of both, or say with --place where it lies"
         )
-    _write(path, tiles)
+    cut = box_px is not None and settings.extent != inputs.settings.extent
+    _write(path, tiles, first.grid.to_xy(box_px) if box_px is not None and cut else None)
     return settings
+
+
+def _listed(name: str) -> tuple[list[_Listed], CRS | None]:
+    return _of_folder(Path(name)) if Path(name).is_dir() else _of_index(name)
 
 
 def _is_tile(file: Path) -> bool:
@@ -201,13 +214,17 @@ def _meets(outline_px: Float64, box_px: Float64 | None) -> bool:
     return bool((low < box_px[1]).all() and (high > box_px[0]).all())
 
 
-def _write(path: Path, tiles: Sequence[RasterInfo]) -> None:
-    """Write the VRT of tiles, which refers to them by absolute paths."""
+def _write(path: Path, tiles: Sequence[RasterInfo], within_xy: Float64 | None) -> None:
+    """Write the VRT of tiles, which refers to them by absolute paths, or of what lies between two corners."""
     first = tiles[0]
     offsets = np.array(list(_offsets_px(tiles)))
     low = offsets.min(axis=0)
-    col, row = low.tolist()
     high = (offsets + [tile.grid.shape[::-1] for tile in tiles]).max(axis=0)
+    if within_xy is not None:
+        corners = first.grid.to_px(within_xy)
+        low = np.maximum(low, np.floor(corners.min(axis=0)).astype(int))
+        high = np.minimum(high, np.ceil(corners.max(axis=0)).astype(int))
+    col, row = low.tolist()
     files = [
         vrt.MosaicFile(str(Path(tile.uri).absolute()), tile.grid.shape, (int(place[0]), int(place[1])))
         for tile, place in zip(tiles, offsets - low, strict=True)

@@ -126,8 +126,10 @@ def test_a_photograph_without_place_is_looked_for_within_an_extent(
     words = ["match", str(tiles), str(plain), "-o", "found", "--no-report", "--extent", *box]
     assert run([*words, "--template", "61", "--window", "41", "--features", "150"]) == 0
     assert "matched: 1" in capsys.readouterr().out
-    with rasterio.open("found/reference.vrt") as file:
-        assert file.shape == (2 * SIDE, 2 * SIDE)
+    with rasterio.open("found/reference.vrt") as file, rasterio.open("whole.tif") as whole:
+        assert file.shape == (250, 260)
+        np.testing.assert_array_equal(file.read(1), whole.read(1)[30:280, 40:300])
+        assert file.transform.almost_equals(whole.transform @ Affine.translation(40, 30))
 
 
 def overwritten(tiles: Path, content: bytes) -> None:

@@ -107,6 +107,35 @@ def test_photographs_are_found_around_their_places(work: Path) -> None:
     assert all("srcwin" in line["reference"] for line in lines if line["status"] == "registered")
 
 
+def test_a_folder_of_tiles_is_a_reference_of_a_flight(work: Path, tmp_path: Path) -> None:
+    for number in range(4):
+        row, col = divmod(number, 2)
+        grid = make_grid((300, 300), offset_m=(col * 9000.0, row * 9000.0))
+        with rasterio.open(work / "ortho.tif") as whole:
+            values = whole.read(1)[row * 300 :, col * 300 :][:300, :300]
+        (tmp_path / "tiles").mkdir(exist_ok=True)
+        write(tmp_path / "tiles" / f"tile{number}.tif", values, grid)
+    result = pg.batch(
+        work / "flight.gpkg",
+        out_dir=tmp_path / "out",
+        reference=tmp_path / "tiles",
+        photo_size=SIDE_PX * 30.0,
+        within=400.0,
+        executor=InThisProcess(),
+        no_report=True,
+        template=61,
+        window=41,
+        features=40,
+        model="shift",
+    )
+    assert [result.count(status) for status in ("registered", "unusable")] == [1, 2]
+    assert true_error_px(tmp_path / "out", "a_01") < 0.3
+    found = json.loads((tmp_path / "out" / "a_01_registered" / "report.json").read_text())
+    assert found["reference"]["path"].endswith("reference.vrt")
+    assert result.to_place is not None
+    assert "none of the 4 tiles" in result.to_place.read_text(encoding="utf-8")
+
+
 def flight(work: Path, **values: object) -> Flight:
     return Flight(str(work / "ortho.tif"), **{"photo_size": SIDE_PX * 30.0, "photos": work, **values})  # type: ignore[arg-type]
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from pcwlad_geo.arguments import shown
+from pcwlad_geo.basemaps.tiles import is_tiles, lattice_of
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.raster import Grid, describe, middle_pixel_size_m, open_raster, transform_xy
@@ -89,6 +90,8 @@ class Photo:
     """Geotransform, for ``--place``, by the index; empty where it cannot be read."""
     problem: str | None = None
     """Why it is not looked for."""
+    extent: tuple[float, float, float, float] | None = None
+    """The part of a reference of tiles around its place, as the option ``extent``."""
 
 
 def photos_of(index: PathLike, flight: Flight) -> list[Photo]:
@@ -105,9 +108,10 @@ def photos_of(index: PathLike, flight: Flight) -> list[Photo]:
     folder = Path(index).absolute().parent if flight.photos is None else flight.photos.absolute()
     names, files = _names(layer, index, flight, folder)
     check_count(str(index), len(names), LIMITS.batch_rows, "photographs")
-    grid = describe(flight.reference, part=True).grid
+    is_whole = not is_tiles(flight.reference)
+    grid = describe(flight.reference, part=True).grid if is_whole else lattice_of(flight.reference)
     metre = middle_pixel_size_m(grid)
-    if metre is None or grid.crs is None or "?" in flight.reference:
+    if metre is None or grid.crs is None or (is_whole and "?" in flight.reference):
         raise InputError(f"{flight.reference}: give a reference with a CRS, and without '?' in its name")
     if layer.crs is None:
         raise InputError(f"{index} has no CRS: assign one (ogr2ogr -a_srs)")
@@ -119,14 +123,25 @@ def photos_of(index: PathLike, flight: Flight) -> list[Photo]:
         if path is None:
             photos.append(Photo(line, str(folder / name), flight.reference, "", f"{name} is not in {folder}"))
             continue
-        photos.append(_photo(line, path, geometry, crs, grid, max(metre), flight))
+        photos.append(_photo(line, path, geometry, crs, grid, max(metre), flight, is_whole=is_whole))
     return photos
 
 
 def _photo(
-    line: int, path: str, geometry: object, crs: CRS, grid: Grid, px_m: float, flight: Flight
+    line: int,
+    path: str,
+    geometry: object,
+    crs: CRS,
+    grid: Grid,
+    px_m: float,
+    flight: Flight,
+    *,
+    is_whole: bool,
 ) -> Photo:
-    """Return a photograph with the part of the reference around its place, of px of `px_m`."""
+    """Return a photograph with the part of the reference around its place, of px of `px_m`.
+
+    The reference `is_whole`, or consists of tiles, of which one has the `grid`.
+    """
     try:
         with open_raster(path) as dataset:
             shape = dataset.shape
@@ -150,6 +165,10 @@ def _photo(
     scale = side / max(shape)
     place = _geotransform((low + high) / 2, scale, shape, grid)
     margin = flight.within / px_m
+    if not is_whole:
+        corners = grid.to_xy(np.array([low - margin, high + margin]))
+        (left, bottom), (right, top) = np.sort(corners, axis=0).tolist()
+        return Photo(line, path, flight.reference, place, extent=(left, bottom, right, top))
     rows, cols = grid.shape
     first = np.clip(np.floor(low - margin), 0, (cols, rows)).astype(int)
     size = np.clip(np.ceil(high + margin), 0, (cols, rows)).astype(int) - first

@@ -6,7 +6,7 @@ import csv
 import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -95,7 +95,8 @@ def pairs_of_photos(
     for photo in photos:
         place = _free(Path(out_dir) / output_folder(photo.path, "registered"), keys, numbers)
         keys.add(_key(place))
-        pairs.append(BatchPair(photo.line, photo.reference, photo.path, place, settings, {}))
+        around = replace(settings, extent=photo.extent) if photo.extent else settings
+        pairs.append(BatchPair(photo.line, photo.reference, photo.path, place, around, {}))
     return pairs
 
 
