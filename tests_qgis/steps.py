@@ -77,6 +77,7 @@ def ended(dock: Any) -> Iterator[int]:
     while dock._runner.running:
         yield 100
     yield 1500
+    iface.messageBar().clearWidgets()  # QGIS tells of each task that has ended
 
 
 def editable(dock: Any) -> Iterator[int]:
