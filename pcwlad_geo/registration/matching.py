@@ -25,16 +25,15 @@ from pcwlad_geo.registration.point_file import UNKNOWN_ORIGIN, user_points
 from pcwlad_geo.registration.positions import position_conflict
 from pcwlad_geo.registration.quality import Doubt
 from pcwlad_geo.registration.result import Matches, Pair, PairGeometry
-from pcwlad_geo.registration.rpc import (
-    check_start,
-)
-from pcwlad_geo.registration.scene.best_start import (
+from pcwlad_geo.registration.rpc import check_start
+from pcwlad_geo.registration.scene.best_start import match_from_best_start
+from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
+from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
+from pcwlad_geo.registration.scene.shifted import (
     located,
     match_again_from_shifted_rpc,
-    match_from_best_start,
+    match_again_on_bent_map,
 )
-from pcwlad_geo.registration.scene.matching import match_scene
-from pcwlad_geo.registration.scene.parameters import SceneContext, SceneParameters
 from pcwlad_geo.registration.starts.alignment import Prealignment, StartingAlignment
 from pcwlad_geo.registration.starts.overviews import read_overviews
 from pcwlad_geo.registration.starts.parameters import START
@@ -284,9 +283,8 @@ def _by_matching(
         radius_px = min(START.radius_px, max(2, round(np.abs(around_px).max()) - 3))
         start = StartingAlignment(Prealignment("search", around_px, radius_px, True), views, overviews)
         scene = match_scene(start, context)
-    if pair.rpc and scene.decision.accepted:
-        check_start(pair.rpc, scene.prealignment, views.reference.grid, settings)
-        scene, views = match_again_from_shifted_rpc(scene, views, context)
+    if scene.decision.accepted:
+        scene, views = _matched_at_the_shift(pair, scene, views, context)
     table = located(scene, views, (pair.views.reference.info, pair.target))
     geometry = PairGeometry.of(table, scene.epipolar and scene.decision.accepted)
     several = len(scene.motions) > 1
@@ -321,6 +319,16 @@ def _by_matching(
         job=scene.job,
         scales=scene.scales,
     )
+
+
+def _matched_at_the_shift(
+    pair: Pair, scene: SceneMatches, views: ViewPair, context: SceneContext
+) -> tuple[SceneMatches, ViewPair]:
+    """Return a scene and its views, matched again where the shift found changes how the target is seen."""
+    if pair.rpc is None:
+        return match_again_on_bent_map(scene, views, context)
+    check_start(pair.rpc, scene.prealignment, views.reference.grid, context.settings)
+    return match_again_from_shifted_rpc(scene, views, context)
 
 
 def _doubts_of_motions(motions: Sequence[Motion]) -> tuple[Doubt, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ from rasterio.crs import CRS
 
 import pcwlad_geo
 from benchmarks.studies.crs import RIGHT_PX, SCENES, SETTINGS, SHIFT_PX
+from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Window, describe, plan_views
 from pcwlad_geo.raster.grid import apply
 from pcwlad_geo.registration.run import register_pair
+from pcwlad_geo.registration.scene.shifted import located
 from tests.earth import LONLAT, Raster, ground
 
 AT = (180.0, -17.0)
@@ -185,3 +188,36 @@ def test_the_displacement_at_poles_and_edges_of_maps(
     scene: str, reference: str, target: str, tmp_path: Path
 ) -> None:
     assert np.abs(off_px(*written(scene, reference, target, tmp_path))).max() < RIGHT_PX
+
+
+def test_degrees_on_the_map_of_a_pole_bend_a_shift_within_windows(tmp_path: Path) -> None:
+    """They are matched again at the shift: else they are 0.065 px off, and scatter by 0.1 px."""
+    rasters = {each.name: each for each in SCENES["the earth, 40 km"]}
+    paths = rasters["3413"].write(tmp_path), rasters["lonlat"].write(tmp_path, SHIFT_PX)
+    found = register_pair(*paths, Settings(jobs=1), match_only=True)
+    assert found.status == "matched"
+    points = found.tie_points.select("matched")
+    off = points.target_px - points.predicted_px - SHIFT_PX
+    assert np.abs(off.mean(axis=0)).max() < 0.01
+    assert off.std(axis=0).max() < 0.02
+
+
+def test_a_point_displaced_to_the_other_end_of_the_map_is_rejected(tmp_path: Path) -> None:
+    """Beyond 180 degrees Equal Earth ends, and the place predicted for a point there is at its other end."""
+    rasters = {each.name: each for each in SCENES["the earth, 40 km"]}
+    pair = plan_views(
+        describe(rasters["3832"].write(tmp_path)), describe(rasters["Equal Earth"].write(tmp_path))
+    )
+    count = 100
+    lon_180_px = 400 * (1 + 30 / 180)  # of a map whose middle is 150 degrees east
+    reference_px = np.stack(
+        [np.linspace(lon_180_px - 50, lon_180_px - 1, count), np.full(count, 350.0)], axis=1
+    )
+    target_px = reference_px + pair.offset_px + [2.0, 0.0]
+    covariance_px2 = np.tile(np.eye(2), (count, 1, 1))
+    points = TiePoints(reference_px, target_px, covariance_px2, np.ones(count), np.zeros(count))
+    scene = SimpleNamespace(matches=points, consistent=np.full(count, True))
+    table = located(scene, pair, (pair.reference.info, pair.target.info))  # type: ignore[arg-type]
+    away = np.hypot(*table.displacement_px.T) > 100
+    assert 0 < away.sum() < count / 10
+    assert (table.status == np.where(away, "rejected", "matched")).all()

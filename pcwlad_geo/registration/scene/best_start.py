@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import RasterInfo, ViewPair
-from pcwlad_geo.raster.rpc.planning import plan_rpc_views
+from pcwlad_geo.raster import ViewPair
 from pcwlad_geo.registration.advice import refusal
-from pcwlad_geo.registration.rpc import shifted
 from pcwlad_geo.registration.scene.ground import compare_with_rivals, reach_all_ground, select_ground_motion
 from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
 from pcwlad_geo.registration.scene.parameters import SceneContext
 from pcwlad_geo.registration.scene.pose import match_again_in_pose
 from pcwlad_geo.registration.scene.starts import note_of_sizes, starts, warn_of_start, with_few_values
-from pcwlad_geo.registration.starts.alignment import StartingAlignment, by_georeferencing
-from pcwlad_geo.registration.starts.overviews import Overviews, read_overviews
-from pcwlad_geo.tiepoints.table import TiePointTable, locate
+from pcwlad_geo.registration.starts.alignment import StartingAlignment
+from pcwlad_geo.registration.starts.overviews import Overviews
 
 
 def match_from_best_start(
@@ -71,37 +66,3 @@ def _on_its_ground(
         scene = reach_all_ground(scene, start, context)
         warn_of_start(pair, scene.prealignment, context)
     return scene
-
-
-def match_again_from_shifted_rpc(
-    scene: SceneMatches, pair: ViewPair, context: SceneContext
-) -> tuple[SceneMatches, ViewPair]:
-    """Match a target with RPC again, as the shift found so far places it.
-
-    Where the RPC errs, the image is seen with the height of the ground beside: relief distorts the windows by
-    the more, the larger the error is.
-    """
-    for _ in range(2):
-        table = located(scene, pair, (pair.reference.info, pair.target.info))
-        shift_px = np.median(table.select("matched").displacement_px, axis=0)
-        if np.hypot(*shift_px) < context.parameters.near_px:
-            break
-        target = shifted(pair.target.info, shift_px)
-        shifted_pair = plan_rpc_views(pair.reference.info, target)
-        prealignment = by_georeferencing(context.settings.search_radius)
-        start = StartingAlignment(prealignment, shifted_pair, read_overviews(shifted_pair))
-        latest = match_scene(start, context)
-        if not latest.decision.accepted:
-            break
-        scene, pair = replace(latest, prealignment=scene.prealignment), shifted_pair
-    return scene, pair
-
-
-def located(scene: SceneMatches, pair: ViewPair, originals: tuple[RasterInfo, RasterInfo]) -> TiePointTable:
-    """Return the matches in px of the original files, the inconsistent ones ``rejected``.
-
-    The pair are the views that they were found on, the `originals` reference and target as their own
-    georeferencing places them.
-    """
-    table = locate(scene.matches, pair, originals)
-    return replace(table, status=np.where(scene.consistent, "matched", "rejected"))

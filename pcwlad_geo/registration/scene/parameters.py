@@ -48,6 +48,8 @@ class SceneParameters:
     """Mean movement of the target by a new pose below which it is not matched again, px."""
     near_px: float = 0.5
     """Distance from where a target was assumed below which it is not matched again, target px."""
+    bent_px: float = 0.01
+    """Error of a shift within windows, as another map bends it, from which a target is matched again, px."""
     most_moves: int = 3
     """Largest number of times that matches on ground that repeats are compared with those a period off."""
     grey_error_px: float = 0.2
