@@ -213,4 +213,4 @@ def test_nothing_is_searched_for_before_it_is_needed(monkeypatch: pytest.MonkeyP
     plugins._plugins.cache_clear()
     monkeypatch.setattr(plugins, "_plugins", None)  # a call would fail
     assert run(["--help"]) == 0
-    assert next(iter(FORMATS)).name == "points"
+    assert next(iter(FORMATS)).name == "correction"
