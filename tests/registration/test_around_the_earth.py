@@ -216,7 +216,8 @@ def test_a_point_displaced_to_the_other_end_of_the_map_is_rejected(tmp_path: Pat
     target_px = reference_px + pair.offset_px + [2.0, 0.0]
     covariance_px2 = np.tile(np.eye(2), (count, 1, 1))
     points = TiePoints(reference_px, target_px, covariance_px2, np.ones(count), np.zeros(count))
-    scene = SimpleNamespace(matches=points, consistent=np.full(count, True))
+    prealignment = SimpleNamespace(pose=None)
+    scene = SimpleNamespace(matches=points, consistent=np.full(count, True), prealignment=prealignment)
     table = located(scene, pair, (pair.reference.info, pair.target.info))  # type: ignore[arg-type]
     away = np.hypot(*table.displacement_px.T) > 100
     assert 0 < away.sum() < count / 10

@@ -100,7 +100,9 @@ def located(scene: SceneMatches, pair: ViewPair, originals: tuple[RasterInfo, Ra
     displaces by half an image more than others.
     """
     table = locate(scene.matches, pair, originals)
-    lengths_px = np.hypot(*table.displacement_px.T)
-    middle_px = float(np.median(lengths_px[scene.consistent])) if scene.consistent.any() else 0.0
-    torn = lengths_px > middle_px + max(pair.target.info.grid.shape) / 2
-    return replace(table, status=np.where(scene.consistent & ~torn, "matched", "rejected"))
+    consistent = scene.consistent
+    if scene.prealignment.pose is None and consistent.any():  # in a pose displacements differ by that much
+        lengths_px = np.hypot(*table.displacement_px.T)
+        half_px = max(pair.target.info.grid.shape) / 2
+        consistent = consistent & (lengths_px <= np.median(lengths_px[consistent]) + half_px)
+    return replace(table, status=np.where(consistent, "matched", "rejected"))
