@@ -18,6 +18,7 @@ import pcwlad_geo as pg
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.multi.batch.flight import Flight, photos_of
+from pcwlad_geo.multi.batch.run import BatchResult
 from pcwlad_geo.raster import describe, transform_xy
 from pcwlad_geo.raster.gdal import ignoring
 from tests.cli.process import Result
@@ -74,12 +75,12 @@ def true_error_px(folder: Path, name: str) -> float:
     return float(np.hypot(*np.linalg.lstsq(slopes.T, (seen - truth)[inner].ravel(), rcond=None)[0]))
 
 
-def test_photographs_are_found_around_their_places(work: Path) -> None:
-    out = work / "out"
-    result = pg.batch(
+def place_photographs(work: Path, out: Path, reference: Path) -> BatchResult:
+    """Look for the photographs of the flight on a reference, by few candidates."""
+    return pg.batch(
         work / "flight.gpkg",
         out_dir=out,
-        reference=work / "ortho.tif",
+        reference=reference,
         photo_size=SIDE_PX * 30.0,
         within=400.0,
         executor=InThisProcess(),
@@ -89,6 +90,11 @@ def test_photographs_are_found_around_their_places(work: Path) -> None:
         features=40,
         model="shift",
     )
+
+
+def test_photographs_are_found_around_their_places(work: Path) -> None:
+    out = work / "out"
+    result = place_photographs(work, out, work / "ortho.tif")
     assert sorted((outcome.pair.line, outcome.status) for outcome in result.pairs) == [
         (1, "registered"),
         (2, "unusable"),
@@ -115,19 +121,7 @@ def test_a_folder_of_tiles_is_a_reference_of_a_flight(work: Path, tmp_path: Path
             values = whole.read(1)[row * 300 :, col * 300 :][:300, :300]
         (tmp_path / "tiles").mkdir(exist_ok=True)
         write(tmp_path / "tiles" / f"tile{number}.tif", values, grid)
-    result = pg.batch(
-        work / "flight.gpkg",
-        out_dir=tmp_path / "out",
-        reference=tmp_path / "tiles",
-        photo_size=SIDE_PX * 30.0,
-        within=400.0,
-        executor=InThisProcess(),
-        no_report=True,
-        template=61,
-        window=41,
-        features=40,
-        model="shift",
-    )
+    result = place_photographs(work, tmp_path / "out", tmp_path / "tiles")
     assert [result.count(status) for status in ("registered", "unusable")] == [1, 2]
     assert true_error_px(tmp_path / "out", "a_01") < 0.3
     found = json.loads((tmp_path / "out" / "a_01_registered" / "report.json").read_text())

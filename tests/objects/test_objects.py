@@ -321,6 +321,17 @@ def without_checksum(change: Callable[[dict[str, Any]], None]) -> Callable[[dict
     return changed
 
 
+def changed_file(
+    fitted: Fitted, folder: Path, change: Callable[[dict[str, Any]], None]
+) -> tuple[Path, dict[str, Any]]:
+    """Save a correction, change the content of its file, and return both."""
+    place = fitted.fix.save(folder / "fix.json")
+    content = json.loads(place.read_text(encoding="utf-8"))
+    change(content)
+    place.write_text(json.dumps(content), encoding="utf-8")
+    return place, content
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -346,10 +357,7 @@ def without_checksum(change: Callable[[dict[str, Any]], None]) -> Callable[[dict
 def test_a_file_that_was_changed_is_refused(
     change: Callable[[dict[str, Any]], None], says: str, fitted: Fitted, tmp_path: Path
 ) -> None:
-    place = fitted.fix.save(tmp_path / "fix.json")
-    content = json.loads(place.read_text(encoding="utf-8"))
-    change(content)
-    place.write_text(json.dumps(content), encoding="utf-8")
+    place, _ = changed_file(fitted, tmp_path, change)
     with pytest.raises(pg.InputError, match=says) as caught:
         pg.load(place)
     assert "fix.json" in str(caught.value) or "report.json" in str(caught.value)
@@ -366,10 +374,7 @@ def test_a_file_that_was_changed_is_refused(
 def test_points_of_a_file_that_was_changed_are_refused(
     change: Callable[[dict[str, Any]], None], says: str, fitted: Fitted, tmp_path: Path
 ) -> None:
-    place = fitted.fix.save(tmp_path / "fix.json")
-    content = json.loads(place.read_text(encoding="utf-8"))
-    change(content)
-    place.write_text(json.dumps(content), encoding="utf-8")
+    place, content = changed_file(fitted, tmp_path, change)
     with pytest.raises(pg.InputError, match=rf"fix\.json.*{says}"):
         pg.TiePoints.from_file(place, fitted.reference, fitted.target)
     place.write_text(json.dumps(content)[:5000], encoding="utf-8")
