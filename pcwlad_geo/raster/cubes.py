@@ -89,15 +89,15 @@ def as_vrt(uri: str) -> str | None:
     The file was checked. Raises `InputError` if the cube is damaged.
     """
     match = _URI.fullmatch(uri)
-    if match is None or not (match["array"] == _EMIT or match["array"].startswith("/HDFEOS/SWATHS/PRS_L")):
+    array = match["array"].replace("Data_Fields", "Data Fields") if match else ""
+    if match is None or not (array == _EMIT or _PRISMA.fullmatch(array)):
         return None
     if tuple(map(int, rasterio.__gdal_version__.split(".")[:2])) < CUBES.gdal:
         raise InputError(
             f"{uri} has its bands in the middle or last, which GDAL {rasterio.__gdal_version__} does not "
             "read: update it to 3.9 (pip install -U rasterio)"
         )
-    array, file = match["array"].replace("Data_Fields", "Data Fields"), OnDisk(Path(match["file"]))
-    return _vrt(match["file"], array, file.stamp())
+    return _vrt(match["file"], array, OnDisk(Path(match["file"])).stamp())
 
 
 @lru_cache(maxsize=16)  # a job opens a file for every tile
