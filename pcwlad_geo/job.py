@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.arguments import checked
-from pcwlad_geo.basemaps.composed import compose, composed_as
+from pcwlad_geo.basemaps.composed import compose
 from pcwlad_geo.errors import InputError, RegistrationRejectedError, RequirementError
 from pcwlad_geo.events import Event, EventCallback, Progress, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
@@ -210,7 +210,6 @@ def write_pair(
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         job = PairJob.of(command, names, settings, places, overwrite=overwrite)
         job.check_outputs()
-        composed = composed_as(names[0])
         with (
             OutputFolder(job.folder, overwrite=overwrite, inputs=job.files) as folder,
             trusting(replace(settings.trust, composed=str(folder.path(OUTPUT_NAMES["tiles"])))),
@@ -220,13 +219,13 @@ def write_pair(
                 for kind, place in job.inside.items()
             }
             bands = job.band_paths(folder)
-            if composed and registration is None:
-                job = _with_reference(job, staged[composed], on_event)
+            if job.composed and registration is None:
+                job = _with_reference(job, staged[job.composed], on_event)
             if registration is None:
                 registration = _run(job, executor, on_event if settings.no_report else _preloading(on_event))
             read_from = registration.inputs
-            if composed:
-                registration = registration.fetched_to(job.places[composed])
+            if job.composed:
+                registration = registration.fetched_to(job.places[job.composed])
             # inside: slow to load, which `_preloading` may have done
             from pcwlad_geo.pair_requirements import judge_requirements
 
@@ -244,7 +243,7 @@ def write_pair(
 
 def _with_reference(job: PairJob, path: Path, on_event: EventCallback) -> PairJob:
     """Compose the reference of a job from a web map or tiles; return the job with the file instead."""
-    settings = compose(job.names[0], job.inputs, path, on_event)
+    settings = compose(job.names[0], job.composed, job.inputs, path, on_event)
     inputs = resolve(str(path), job.names[1], settings, all_bands=job.command == "register")
     if job.command == "register":
         check_output(inputs)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
-from pcwlad_geo.basemaps.composed import composed_as, resolvable
+from pcwlad_geo.basemaps.composed import Composed, composed_as, resolvable
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.files import outputs
@@ -45,6 +45,8 @@ class PairJob:
     command: Command
     names: tuple[str, str]
     """Reference and target as the user names them: paths, GDAL URIs or products."""
+    composed: Composed | None
+    """What is composed of the reference; None where it is a raster itself."""
     inputs: Inputs
     settings: Settings
     folder: Path
@@ -70,7 +72,9 @@ class PairJob:
         """
         if settings.no_report and places.get("output_report") is not None:
             raise SettingsError("output_report names a page that no_report leaves out: give one of them")
-        inputs = resolve(resolvable(names[0]), names[1], settings, all_bands=command == "register")
+        composed = composed_as(names[0])
+        reference = resolvable(names[0], composed)
+        inputs = resolve(reference, names[1], settings, all_bands=command == "register")
         folder = output_folder(names[1], JOB_OF[command], places.get("out_dir"))
         inside = output_paths(inputs.target_file, command, settings.of, folder)
         elsewhere = {
@@ -79,7 +83,7 @@ class PairJob:
             if name != "out_dir" and path
         }
         outside = {kind: path for kind, path in elsewhere.items() if path != inside[kind]}
-        return cls(command, names, inputs, settings, folder, inside, outside, overwrite)
+        return cls(command, names, composed, inputs, settings, folder, inside, outside, overwrite)
 
     @property
     def places(self) -> dict[str, Path]:
@@ -108,7 +112,7 @@ class PairJob:
         check_outputs([*self.places.values()], self.files)
         check_outputs([*self.elsewhere.values()], overwrite=self.overwrite)
         OutputFormat.of(self.settings.of, self.settings.co)
-        if self.command == "register" and composed_as(self.names[0]) is None:
+        if self.command == "register" and self.composed is None:
             check_output(self.inputs)
 
 

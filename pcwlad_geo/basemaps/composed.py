@@ -20,17 +20,19 @@ def composed_as(name: str) -> Composed | None:
     return "basemap" if is_service(name) else "tiles" if is_tiles(name) else None
 
 
-def resolvable(name: str) -> str:
+def resolvable(name: str, composed: Composed | None) -> str:
     """Return the name of a reference as `resolve` takes it before it is composed, not for a folder."""
-    return f"tiles:{name}" if composed_as(name) == "tiles" else name
+    return f"tiles:{name}" if composed == "tiles" else name
 
 
-def compose(name: str, inputs: Inputs, path: Path, on_event: EventCallback) -> Settings:
+def compose(
+    name: str, composed: Composed | None, inputs: Inputs, path: Path, on_event: EventCallback
+) -> Settings:
     """Write the reference that a target needs to a file; return the settings to match with it.
 
     Raises `InputError` and `TrustError` as `fetching.fetch` and `tiles.gather` do.
     """
-    if composed_as(name) == "tiles":
+    if composed == "tiles":
         return gather(name, inputs, path)
     from pcwlad_geo.basemaps.fetching import fetch  # slow to load, and rarely needed
 
