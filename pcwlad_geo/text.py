@@ -8,6 +8,7 @@ import io
 import json
 import math
 import os
+import re
 import stat
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,6 +34,7 @@ _SIDECARS: Final = (".txt", ".xml", ".imd", ".rpb", ".rpc", ".pvl", ".eph", ".at
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")  # full-width ones count too
 HIDDEN: Final = ("Cc", "Cs", "Zl", "Zp")
 """Unicode categories of control characters, bytes that are no text, and line and paragraph separators."""
+_PART: Final = re.compile(r"(?P<file>.+\.jpe?g):(?P<part>visible|thermal)", re.IGNORECASE | re.DOTALL)
 TURNING: Final = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 """Characters that reverse the direction of the text after them, which could show a name backwards."""
 
@@ -56,8 +58,17 @@ def is_uri(name: str) -> bool:
     return ":" in name or name.startswith(("/vsi", "<"))
 
 
+def part_of_jpeg(name: str) -> tuple[str, str] | None:
+    """Return file and part of ``shot.jpg:visible``; None of other names, and of a file that is so called."""
+    match = _PART.fullmatch(name)
+    if match is None or os.path.exists(name):  # noqa: PTH110
+        return None
+    return match["file"], match["part"].lower()
+
+
 def check_exists(name: str) -> None:
     """Raise `InputError` if a name that can only be a path names nothing."""
+    name = (part_of_jpeg(name) or (name,))[0]
     if not (is_uri(name) or os.path.exists(name)):  # noqa: PTH110  # it may be no valid path
         raise InputError(f"{name} does not exist: check the path")
 

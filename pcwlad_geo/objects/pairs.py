@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.events import EventCallback
@@ -16,6 +16,7 @@ from pcwlad_geo.raster.arrays import RasterLike
 from pcwlad_geo.raster.raster import Raster
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.registration import Matches, Pair, match_pair, prepare_pair
+from pcwlad_geo.rigs.jpeg_parts import part_files
 
 OF_THE_FOLDER: Final = (
     *("require", "keep", "pdf", "no_report", "write_sigma", "write_displacement", "write_proj_grid"),
@@ -35,6 +36,7 @@ def resolved(
     is_here = executor is None or isinstance(executor, ThreadPoolExecutor | InThisProcess)
     scratch = Scratch(in_memory=is_here and options.get("scheduler") is None)
     options, names = dict(options), []
+    rasters = cast(tuple[RasterLike, RasterLike], part_files(rasters, scratch))
     for side, raster, mask in zip(("ref", "tgt"), rasters, masks, strict=True):
         role = "reference" if side == "ref" else "target"
         if isinstance(raster, Raster):

@@ -6,7 +6,7 @@ import ctypes
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -67,8 +67,13 @@ def temperatures_k(path: str, maker: Maker) -> Float32:
     return values
 
 
+def unpacked_flir(path: str) -> Any:  # noqa: ANN401  # flyr has its own types
+    """Return what flyr reads of a JPEG: kelvin, optical, pip_info; raises errors of any kind."""
+    return import_module(FLYR).unpack(path)
+
+
 def _of_flir(path: str) -> Float32:
-    return np.ascontiguousarray(import_module(FLYR).unpack(path).kelvin, np.float32)
+    return np.ascontiguousarray(unpacked_flir(path).kelvin, np.float32)
 
 
 class _Resolution(ctypes.Structure):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
+import pytest
 import rasterio
 from PIL import Image
 from rasterio.errors import NotGeoreferencedWarning
@@ -152,3 +155,28 @@ def sequoia(card: Path, scratch: Path, name: str, capture: Flown) -> Rig:
             camera_directory("<", pitch=True),
         )
     return rigs.true_rig(lenses, scratch, name)
+
+
+def jpeg(path: Path, values: np.ndarray, segments: dict[bytes, int]) -> Path:
+    stream = BytesIO()
+    Image.fromarray(values).save(stream, "JPEG", quality=95)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(with_segments(stream.getvalue(), segments))
+    return path
+
+
+def flir(path: Path, values: np.ndarray) -> Path:
+    return jpeg(path, values, {b"FLIR\0\x01\0\0" + bytes(40): 0xE1})
+
+
+def dji(path: Path) -> Path:
+    packet = XMP_HEAD + b'<x xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"/>'
+    readings = {bytes([number]) + bytes(60_000): 0xE3 for number in range(2)}
+    return jpeg(path, np.full((40, 64), 90, np.uint8), {packet: 0xE1, **readings})
+
+
+def with_flyr(monkeypatch: pytest.MonkeyPatch, **told: object) -> None:
+    """Stand in for flyr, whose files cannot be made here: what it cannot show is how it reads them."""
+    module = ModuleType("flyr")
+    module.unpack = lambda path: SimpleNamespace(**told)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "flyr", module)

@@ -6,14 +6,11 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 import rasterio
-from PIL import Image
 from rasterio.errors import NotGeoreferencedWarning
 
 import pcwlad_geo as pg
@@ -22,11 +19,10 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.raster.gdal import ignoring
-from pcwlad_geo.rigs.camera_tags import XMP_HEAD, with_segments
 from pcwlad_geo.rigs.captures import find_frames, group, read_frame, read_frame_facts
 from pcwlad_geo.rigs.temperatures import DJI_LIBRARY, maker_of
 from tests.rigs import rigs
-from tests.rigs.camera_files import values_of
+from tests.rigs.camera_files import dji, flir, jpeg, values_of, with_flyr
 
 SDK = """
 #include <stdint.h>
@@ -48,35 +44,10 @@ int32_t dirp_destroy(void *handle) { free(handle); return 0; }
 """
 
 
-def jpeg(path: Path, values: np.ndarray, segments: dict[bytes, int]) -> Path:
-    stream = BytesIO()
-    Image.fromarray(values).save(stream, "JPEG", quality=95)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(with_segments(stream.getvalue(), segments))
-    return path
-
-
-def flir(path: Path, values: np.ndarray) -> Path:
-    return jpeg(path, values, {b"FLIR\0\x01\0\0" + bytes(40): 0xE1})
-
-
-def dji(path: Path) -> Path:
-    packet = XMP_HEAD + b'<x xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"/>'
-    readings = {bytes([number]) + bytes(60_000): 0xE3 for number in range(2)}
-    return jpeg(path, np.full((40, 64), 90, np.uint8), {packet: 0xE1, **readings})
-
-
 @pytest.fixture
 def no_reader(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(DJI_LIBRARY, raising=False)
     monkeypatch.setitem(sys.modules, "flyr", None)
-
-
-def with_flyr(monkeypatch: pytest.MonkeyPatch, kelvin: np.ndarray) -> None:
-    """Stand in for flyr, whose files cannot be made here: what it cannot show is how it reads them."""
-    module = ModuleType("flyr")
-    module.unpack = lambda path: SimpleNamespace(kelvin=kelvin)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "flyr", module)
 
 
 def test_whose_a_jpeg_is(tmp_path: Path) -> None:
@@ -95,7 +66,7 @@ def test_temperatures_are_in_the_raster_in_degrees(tmp_path: Path, monkeypatch: 
     rig = rigs.true_rig(lenses, tmp_path / "raw", "A_1")
     readings = values_of(tmp_path / "raw" / "A_1_2.tif")[0]
     kelvin = 270.0 + readings.astype(np.float64) / 2000
-    with_flyr(monkeypatch, kelvin)
+    with_flyr(monkeypatch, kelvin=kelvin)
     card = tmp_path / "card"
     card.mkdir()
     shutil.copy(tmp_path / "raw" / "A_1_1.tif", card / "A_1_Visible.tif")
@@ -175,6 +146,6 @@ def test_dji_is_read_by_the_library_that_the_user_names(
 
 
 def test_readings_that_are_no_numbers_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with_flyr(monkeypatch, np.full((4, 4), np.nan))
+    with_flyr(monkeypatch, kelvin=np.full((4, 4), np.nan))
     with pytest.raises(InputError, match="no finite numbers"):
         read_frame_facts(flir(tmp_path / "f.jpg", np.full((40, 64), 90, np.uint8)), "T")
