@@ -101,8 +101,8 @@ def prove(
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # of tiles; before there are threads
         from pcwlad_geo.registration import prove_pair, resolve  # slow to load
         from pcwlad_geo.report.json_content import to_json
+        from pcwlad_geo.report.proof_numbers import proof_numbers
         from pcwlad_geo.report.proof_page import proof_page
-        from pcwlad_geo.report.summary import proof_numbers
 
         read, files = names, sorted(PROOF_NAMES.values())
         if is_service(names[0]):
@@ -112,9 +112,9 @@ def prove(
             settings = fetch(names[0], resolve(*names, settings), Path(read[0]), on_event)
         with open_job_runner(settings, executor, on_event) as runner:
             registration, proof = prove_pair(*read, settings, effort, on_event=on_event, runner=runner)
-        told = registration if read == names else registration.fetched_to(folder.final_path(BASEMAP))
+        named = registration if read == names else registration.fetched_to(folder.final_path(BASEMAP))
         with folder.writing():
-            content = proof_numbers(told, proof, files)
+            content = proof_numbers(named, proof, files)
             texts = {"report": proof_page(registration, proof), "numbers": to_json(content)}
             for kind, text in texts.items():
                 folder.path(PROOF_NAMES[kind]).write_text(text, encoding="utf-8", newline="")

@@ -118,8 +118,8 @@ def shift_files(
         moved_layers = moved_vectors(vectors, how, on_event)
         for number, (name, grid) in enumerate(grids.items()):
             on_event(Progress("rasters", number, len(grids)))
-            moved = Grid(grid.shape, vrt.compose(movement, grid.transform), grid.crs)
-            _write_raster(name, places[name], moved, copy=copy, overwrite=overwrite)
+            moved_grid = Grid(grid.shape, vrt.compose(movement, grid.transform), grid.crs)
+            _write_raster(name, places[name], moved_grid, copy=copy, overwrite=overwrite)
         moved_places = [places[name] for name in vectors]
         write_vectors(moved_layers, vectors, moved_places, overwrite=overwrite, on_event=on_event)
     return tuple(places[name] for name in names)
@@ -171,10 +171,10 @@ def _grid(info: RasterInfo, crs: CRS | None) -> Grid:
     )
 
 
-def _write_raster(name: str, place: Path, moved: Grid, *, copy: bool, overwrite: bool) -> None:
+def _write_raster(name: str, place: Path, grid: Grid, *, copy: bool, overwrite: bool) -> None:
     with stage_inside(place.parent) as stage:
-        shown = stage / ("shown.vrt" if copy else place.name)
-        vrt.write_placed_vrt(shown, name, moved, final_path=shown if copy else place)
+        vrt_path = stage / ("shown.vrt" if copy else place.name)
+        vrt.write_placed_vrt(vrt_path, name, grid, final_path=vrt_path if copy else place)
         if copy:
-            write_cog(shown, stage / place.name)
+            write_cog(vrt_path, stage / place.name)
         place_with_files(stage / place.name, place, overwrite=overwrite)

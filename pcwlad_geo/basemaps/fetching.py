@@ -163,10 +163,12 @@ def _part(service: Service, inputs: Inputs) -> tuple[int, Window, Settings]:
         settings = replace(settings, extent=None)
     if not np.isfinite(outline_px).all() or not np.isfinite(step).all():
         raise InputError(f"{target} lies where {service.name} has no coordinates: give another map")
-    wanted = -math.log2(math.sqrt(abs(np.linalg.det(step)) or 1.0))
-    zoom = min(settings.ref_zoom if settings.ref_zoom is not None else max(0, round(wanted)), service.finest)
+    exact_zoom = -math.log2(math.sqrt(abs(np.linalg.det(step)) or 1.0))
+    zoom = min(
+        settings.ref_zoom if settings.ref_zoom is not None else max(0, round(exact_zoom)), service.finest
+    )
     radius_px = settings.search_radius or FETCHING.radius_px
-    margin_px = FETCHING.margin_px + radius_px * max(1.0, 2.0 ** (zoom - wanted))
+    margin_px = FETCHING.margin_px + radius_px * max(1.0, 2.0 ** (zoom - exact_zoom))
     grid = service.level(zoom)
     px = outline_px * 2.0**zoom
     if extent is not None and info.georeferenced:

@@ -120,7 +120,7 @@ def _of_gdal(text: str, read: Callable[[str], bytes]) -> Service:
         root = ET.fromstring(text)
     except ET.ParseError as error:
         raise InputError(f"the description of the web map is no XML ({error})") from error
-    values: Mapping[str, str] = {each.tag: (each.text or "").strip() for each in root.iter()}
+    values: Mapping[str, str] = {element.tag: (element.text or "").strip() for element in root.iter()}
     if root.tag == "GDAL_WMTS":
         options = {"layer": "Layer", "tilematrixset": "TileMatrixSet", "style": "Style"}
         words = [f"{key}={values[tag]}" for key, tag in options.items() if values.get(tag)]

@@ -28,18 +28,18 @@ def wmts(name: str, read: Callable[[str], bytes]) -> Service:
     zooms do not double the number of pixels.
     """
     address, *options = name.split(",")
-    wanted = {key.lower(): value for key, _, value in (option.partition("=") for option in options)}
+    choice = {key.lower(): value for key, _, value in (option.partition("=") for option in options)}
     root = _parsed(read(address), address)
     layers = {_text(layer, "Identifier"): layer for layer in root.iterfind("Contents/Layer")}
-    layer = layers.get(wanted.get("layer") or next(iter(layers), ""))
+    layer = layers.get(choice.get("layer") or next(iter(layers), ""))
     if layer is None:
         raise InputError(
             f"WMTS:{public_name(address)}: there is no such layer; give layer={' or '.join(layers)}"
         )
     resources = [
-        each.get("template", "")
-        for each in layer.iterfind("ResourceURL")
-        if each.get("resourceType") == "tile"
+        element.get("template", "")
+        for element in layer.iterfind("ResourceURL")
+        if element.get("resourceType") == "tile"
     ]
     if not resources:
         raise InputError(
@@ -47,16 +47,18 @@ def wmts(name: str, read: Callable[[str], bytes]) -> Service:
             "the part that you need as a file (gdal_translate)"
         )
     links = [_text(link, "TileMatrixSet") for link in layer.iterfind("TileMatrixSetLink")]
-    sets = {_text(each, "Identifier"): each for each in root.iterfind("Contents/TileMatrixSet")}
-    matrix_set = sets.get(wanted.get("tilematrixset") or next((link for link in links if link in sets), ""))
+    sets = {_text(element, "Identifier"): element for element in root.iterfind("Contents/TileMatrixSet")}
+    matrix_set = sets.get(choice.get("tilematrixset") or next((link for link in links if link in sets), ""))
     if matrix_set is None:
         raise InputError(f"WMTS:{public_name(address)}: give tilematrixset={' or '.join(links)}")
     grid, tile_px, identifiers = _matrices(matrix_set, public_name(address))
     values = {
         "TileMatrixSet": _text(matrix_set, "Identifier"),
-        "Style": wanted.get("style") or _text(layer, "Style/Identifier"),
+        "Style": choice.get("style") or _text(layer, "Style/Identifier"),
     }
-    values |= {_text(each, "Identifier"): _text(each, "Default") for each in layer.iterfind("Dimension")}
+    values |= {
+        _text(element, "Identifier"): _text(element, "Default") for element in layer.iterfind("Dimension")
+    }
 
     def url(zoom: int, row: int, col: int) -> str:
         places = values | {"TileMatrix": identifiers[zoom], "TileRow": str(row), "TileCol": str(col)}
@@ -71,9 +73,9 @@ def _matrices(matrix_set: ET.Element, address: str) -> tuple[Grid, int, list[str
     try:
         crs = CRS.from_user_input(_text(matrix_set, "SupportedCRS"))
         matrices = sorted(
-            matrix_set.iterfind("TileMatrix"), key=lambda each: -float(_text(each, "ScaleDenominator"))
+            matrix_set.iterfind("TileMatrix"), key=lambda matrix: -float(_text(matrix, "ScaleDenominator"))
         )
-        scales = [float(_text(each, "ScaleDenominator")) for each in matrices]
+        scales = [float(_text(matrix, "ScaleDenominator")) for matrix in matrices]
         coarsest = matrices[0]
         x, y = map(float, _text(coarsest, "TopLeftCorner").split())
         tile_px, high = int(_text(coarsest, "TileWidth")), int(_text(coarsest, "TileHeight"))
@@ -90,7 +92,7 @@ def _matrices(matrix_set: ET.Element, address: str) -> tuple[Grid, int, list[str
         x, y = y, x
     px = scales[0] * PIXEL_M / (DEGREE_M if crs.is_geographic else crs.linear_units_factor[1])
     grid = Grid((down * tile_px, across * tile_px), Affine(px, 0, x, 0, -px, y), crs)
-    return grid, tile_px, [_text(each, "Identifier") for each in matrices]
+    return grid, tile_px, [_text(matrix, "Identifier") for matrix in matrices]
 
 
 def _parsed(text: bytes, address: str) -> ET.Element:

@@ -48,7 +48,9 @@ def stack_text(result: QaResult) -> str:
     lines += ["", *(_verdict(verdict) for verdict in result.verdicts)] if result.verdicts else []
     from pcwlad_geo.multi.qa.requirements import ceos_ard_row  # slow to load, unless there is a result
 
-    lines += [ceos_ard_row(each) for each in result.verdicts if each.requirement.preset == "ceos-ard"]
+    lines += [
+        ceos_ard_row(verdict) for verdict in result.verdicts if verdict.requirement.preset == "ceos-ard"
+    ]
     lines += [f"refused: {pair.name}: {pair.reason}" for pair in result.refused]
     if result.passed is not None:
         lines.append("PASSED" if result.passed else "FAILED")

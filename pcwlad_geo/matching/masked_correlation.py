@@ -135,10 +135,14 @@ def correlation_at(reference: Channels, target: Channels, shift_xy: tuple[int, i
     if right <= left or bottom <= top:
         return 0.0
     col, row = shift_xy
-    here, there = np.s_[top:bottom, left:right], np.s_[top + row : bottom + row, left + col : right + col]
-    valid = (reference.valid[here] > 0) & (target.valid[there] > 0)
+    reference_part, target_part = (
+        np.s_[top:bottom, left:right],
+        np.s_[top + row : bottom + row, left + col : right + col],
+    )
+    valid = (reference.valid[reference_part] > 0) & (target.valid[target_part] > 0)
     first, second = (
-        np.asarray(values[valid], np.float64) for values in (reference.values[here], target.values[there])
+        np.asarray(values[valid], np.float64)
+        for values in (reference.values[reference_part], target.values[target_part])
     )
     if len(first) == 0:
         return 0.0

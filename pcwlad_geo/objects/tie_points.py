@@ -191,11 +191,11 @@ class TiePoints(TiePointTable):
     def _write_as(self, suffix: str, staged: Path, place: Path) -> None:
         forms = [form for form in FORMATS if form.write and Path(form.file_name).suffix == suffix]
         if not forms or self.matches is None:
-            known = sorted(
+            suffixes = sorted(
                 {Path(form.file_name).suffix for form in FORMATS if form.write} | {".csv", ".gpkg"}
             )
             raise SettingsError(
-                f"{place} has no suffix of a format of tie points: give one of {', '.join(known)}"
+                f"{place} has no suffix of a format of tie points: give one of {', '.join(suffixes)}"
                 if not forms
                 else f"{place} needs the rasters of the pair, which these points lack: give a .csv or .gpkg"
             )

@@ -74,8 +74,8 @@ def write(
     try:
         drawing = side.submit(copy_context().run, _draw, registration, sorted(names), grids, gcps)
         grid = grids[0] if grids else None
-        told = grid is not None and registration.settings.write_stac
-        accuracy = GeometricAccuracy.of(registration, grid.crs) if grid and told else None
+        in_stac = grid is not None and registration.settings.write_stac
+        accuracy = GeometricAccuracy.of(registration, grid.crs) if grid and in_stac else None
         by_name = {band.name: path for band, path in bands.items()}
         job = Writing(registration, grid, places, staged, tell, by_name, accuracy)
         for count, _ in enumerate(_write_files(job, bands, grids), start=1):

@@ -81,8 +81,8 @@ def _prisma(file: Any) -> Bands:  # noqa: ANN401  # h5py has no types
 
 
 def _emit(file: Any) -> Bands:  # noqa: ANN401  # h5py has no types
-    told = file["sensor_band_parameters"]
-    middles, widths, flags = (told[name][()] for name in ("wavelengths", "fwhm", "good_wavelengths"))
+    parameters = file["sensor_band_parameters"]
+    middles, widths, flags = (parameters[name][()] for name in ("wavelengths", "fwhm", "good_wavelengths"))
     if file["reflectance"].shape[2] != len(middles):
         raise ValueError(f"reflectance has not as many bands as there are wavelengths, {len(middles)}")
     for number, (middle, width, flag) in enumerate(zip(middles, widths, flags, strict=True), 1):

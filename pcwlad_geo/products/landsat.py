@@ -74,18 +74,18 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
             "where there are clouds"
         )
     bands = {match["name"]: (match, files[part]) for part in files if (match := _BAND_PART.fullmatch(part))}
-    found = {name: ProductBand(name, tree.uri(file)) for name, (_, file) in bands.items()}
-    order = sorted(found, key=lambda name: (int(bands[name][0]["number"][1:]), name))
+    bands_by_name = {name: ProductBand(name, tree.uri(file)) for name, (_, file) in bands.items()}
+    order = sorted(bands_by_name, key=lambda name: (int(bands[name][0]["number"][1:]), name))
     quality = files.get(_QUALITY_FILES[collection])
     level = f" {kind['level']}" if kind else ""
     return Product(
         path=str(tree.path),
         kind=f"Landsat Collection {int(collection)}{level}" if collection else "pre-Collection Landsat",
-        bands=tuple(found[name] for name in order),
+        bands=tuple(bands_by_name[name] for name in order),
         mask=tree.uri(quality) if quality else None,
         missing=_missing(text, identifier, files),
         cirrus=() if kind and identifier[3] not in "89" else ("B9",),
-        aliases=_aliases(found, {name: match["number"] for name, (match, _) in bands.items()}),
+        aliases=_aliases(bands_by_name, {name: match["number"] for name, (match, _) in bands.items()}),
     )
 
 
@@ -98,7 +98,7 @@ def _scenes(tree: FileTree) -> dict[str, dict[str, str]]:
     for name in tree.names:
         file = name_in(name).upper()
         match = LANDSAT_FILE.fullmatch(file)
-        for scene in [match["id"]] if match else [each for each in marked if file.startswith(f"{each}_")]:
+        for scene in [match["id"]] if match else [stem for stem in marked if file.startswith(f"{stem}_")]:
             parts.setdefault(scene, {})[file[len(scene) + 1 :]] = name
     return {
         scene: files
@@ -107,20 +107,20 @@ def _scenes(tree: FileTree) -> dict[str, dict[str, str]]:
     }
 
 
-def _aliases(found: dict[str, ProductBand], numbers: dict[str, str]) -> dict[str, ProductBand]:
+def _aliases(bands: dict[str, ProductBand], numbers: dict[str, str]) -> dict[str, ProductBand]:
     """Return bands by number alone, B4 and B04 for SR_B4, except where two gains share a number."""
     aliases: dict[str, ProductBand] = {}
     for name, number in numbers.items():
         if list(numbers.values()).count(number) == 1:
-            aliases |= {number: found[name], f"B{int(number[1:]):02d}": found[name]}
+            aliases |= {number: bands[name], f"B{int(number[1:]):02d}": bands[name]}
     return aliases
 
 
 def _missing(text: str, identifier: str, files: dict[str, str]) -> tuple[str, ...]:
     """Return the bands that the text of the MTL lists but that are missing."""
     # The MTL of level 2 also lists the level 1 scene that it was made from; a renamed one lists other names.
-    own = [name.upper() for name in LANDSAT_LISTED.findall(text) if name.upper().startswith(f"{identifier}_")]
-    listed = [part for name in own if _BAND_PART.fullmatch(part := name[len(identifier) + 1 :])]
+    names = [n.upper() for n in LANDSAT_LISTED.findall(text) if n.upper().startswith(f"{identifier}_")]
+    listed = [part for name in names if _BAND_PART.fullmatch(part := name[len(identifier) + 1 :])]
     return tuple(dict.fromkeys(part.removesuffix(".TIF") for part in listed if part not in files))
 
 

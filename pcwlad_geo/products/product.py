@@ -165,11 +165,11 @@ class Product:
 
     def single(self, path: Path) -> Product:
         """Return the product of one image's file alone, with the mask of the whole."""
-        held = dict.fromkeys([*self.bands, *self.aliases.values()])
-        bands = tuple(band for band in held if band.uri == str(path))
+        every = dict.fromkeys([*self.bands, *self.aliases.values()])
+        bands = tuple(band for band in every if band.uri == str(path))
         aliases = {name: band for name, band in self.aliases.items() if band in bands}
-        alone = replace(self, path=str(path), bands=bands, aliases=aliases, of_one_file=True)
-        return replace(alone, missing=(), cirrus=(), apart=False)
+        product = replace(self, path=str(path), bands=bands, aliases=aliases, of_one_file=True)
+        return replace(product, missing=(), cirrus=(), apart=False)
 
     def ground_bands(self) -> tuple[tuple[ProductBand, ...], tuple[str, ...]]:
         """Return the bands that show the ground, and messages about those left out.
@@ -194,9 +194,9 @@ class Product:
         """Return the warnings for the use of the product's bands; `masked`: the user gives a mask."""
         warnings = []
         if not masked and self.mask is None and not self.radar:
-            named = f" ({self.mask_file})" if self.mask_file else ""
+            mask_text = f" ({self.mask_file})" if self.mask_file else ""
             warnings.append(
-                f"{self.path} ({self.kind}) has no quality raster{named}: its clouds are not masked"
+                f"{self.path} ({self.kind}) has no quality raster{mask_text}: its clouds are not masked"
             )
         if self.apart:
             warnings.append(

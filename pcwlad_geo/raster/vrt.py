@@ -288,7 +288,7 @@ def add_items(tree: ET.Element, items: Mapping[str, str]) -> None:
     """Add metadata of the default domain to the VRT of a raster, in the place of those of the same name."""
     if not items:
         return
-    metadata = next((each for each in tree.findall("Metadata") if "domain" not in each.attrib), None)
+    metadata = next((element for element in tree.findall("Metadata") if "domain" not in element.attrib), None)
     if metadata is None:
         metadata = ET.Element("Metadata")
         tree.insert(0, metadata)

@@ -110,10 +110,14 @@ def read_evidence(report: Mapping[str, Any]) -> tuple[FitAccuracy, Quality]:
 
     It tells the grade of the worst reason alone, and of what an extent leaves out only the whole.
     """
-    told = typed(report, _ReadEvidence)
-    units = ((f"{group}_{unit}", of) for group, by in told.accuracy.items() for unit, of in by.items())
-    quality, whole = told.quality, told.quality.whole_ce90_px
-    return FitAccuracy({name: of for name, of in units if of is not None}), Quality(
+    evidence = typed(report, _ReadEvidence)
+    units = (
+        (f"{group}_{unit}", accuracy)
+        for group, by in evidence.accuracy.items()
+        for unit, accuracy in by.items()
+    )
+    quality, whole = evidence.quality, evidence.quality.whole_ce90_px
+    return FitAccuracy({name: accuracy for name, accuracy in units if accuracy is not None}), Quality(
         grade=quality.grade,
         reasons=tuple(Reason(quality.grade, text) for text in quality.reasons),
         expected_ce90_px=quality.expected_ce90_px,

@@ -1,10 +1,9 @@
-"""The numbers of a registration as they stand in report.json, and those of a proof."""
+"""The numbers of a registration as they stand in report.json."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from pcwlad_geo.correction.error_statistics import Accuracy, FloatPair
 from pcwlad_geo.correction.jitter import JITTER, peaks, profile, without_trend
-from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Dem, Grid, RasterInfo, RpcGrid
 from pcwlad_geo.raster.rpc.planning import ground_grid
@@ -28,7 +26,6 @@ from pcwlad_geo.report.content import (
     ModelEntry,
     PredictedSigma,
     ProfilesEntry,
-    ProofNumbers,
     QualityEntry,
     RasterEntry,
     ReferenceEntry,
@@ -286,23 +283,3 @@ def _accuracy(registration: Registration, group: str) -> dict[Literal["px", "m"]
 def _pair(values: Float64, digits: int) -> FloatPair:
     col, row = np.round(values, digits).tolist()
     return col, row
-
-
-def proof_numbers(registration: Registration, proof: Proof, outputs: Sequence[str]) -> ProofNumbers:
-    """Return the content of `proof.json`.
-
-    The proof is of the pair of the `registration`; `outputs` are the names of the files in the folder.
-    """
-    return filled(
-        ProofNumbers,
-        registration,
-        schema_version=1,
-        kind="proof",
-        created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        reference=reference_entry(registration.reference),
-        target=raster_entry(registration.target),
-        proof=rounded(proof, PX_DIGITS),
-        seconds=rounded(registration.seconds, SECONDS_DIGITS),
-        versions=versions(),
-        outputs=tuple(outputs),
-    )

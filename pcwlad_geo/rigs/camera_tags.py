@@ -132,8 +132,8 @@ def tiff_of(directory: Directory, planes: NDArray[np.generic]) -> bytes:
     values = np.moveaxis(planes, 0, 2)
     values = values.astype(values.dtype.newbyteorder(directory.order))
     kind = {"u": 1, "i": 2, "f": 3}[values.dtype.kind]
-    kept = {number: tag for number, tag in directory.tags.items() if number not in _OF_PIXELS}
-    whole = Directory(directory.order, kept, directory.below)
+    tags = {number: tag for number, tag in directory.tags.items() if number not in _OF_PIXELS}
+    whole = Directory(directory.order, tags, directory.below)
     for number, value in (
         (254, 0), (256, cols), (257, rows), (259, 1), (262, 2 if bands == 3 else 1), (273, 0), (277, bands),
         (278, rows), (279, values.nbytes), (284, 1),

@@ -105,8 +105,8 @@ def corrected_packet(
     rows, cols = camera.shape
     zeros = ["0"] * 5
     focal = f"{camera.focal_px / (camera.per_mm or 1.0):.9f}"
-    told = floats_in(values.get("PerspectiveFocalLength", ()))
-    if told and told[0] >= 0.1 * max(places[2]):  # in px, not in mm
+    stated_focal = floats_in(values.get("PerspectiveFocalLength", ()))
+    if stated_focal and stated_focal[0] >= 0.1 * max(places[2]):  # in px, not in mm
         focal = f"{camera.focal_px:.6f}"
     f, (x, y) = camera.focal_px, camera.centre
     date = "".join(values.get("DewarpData", ())).partition(";")[0]
@@ -131,7 +131,11 @@ def corrected_packet(
             packet = _edited(packet, name, None)
     for name, items in changes.items():
         # without the size of a px in mm, mm cannot be told
-        needs_mm = name in lens and camera.per_mm is None and not (told and focal == f"{camera.focal_px:.6f}")
+        needs_mm = (
+            name in lens
+            and camera.per_mm is None
+            and not (stated_focal and focal == f"{camera.focal_px:.6f}")
+        )
         if name in values:
             packet = _edited(packet, name, None if needs_mm else items)
     lacking = {name: text for name, text in stated.items() if name not in values}
@@ -153,9 +157,9 @@ def _vignetting(
     at, raw = at[good], raw[good]
     if len(centre) == 2 and radial:
         affine = least_squares(np.column_stack([raw, np.ones(len(raw))]), at)
-        moved = np.array([*centre, 1.0]) @ affine
-        refitted = _radial_fit(radial, np.hypot(*(raw - centre).T), np.hypot(*(at - moved).T))
-        changes["VignettingCenter"] = [f"{value:.9f}" for value in moved]
+        centre_px = np.array([*centre, 1.0]) @ affine
+        refitted = _radial_fit(radial, np.hypot(*(raw - centre).T), np.hypot(*(at - centre_px).T))
+        changes["VignettingCenter"] = [f"{value:.9f}" for value in centre_px]
         changes["VignettingPolynomial"] = [f"{value:.12e}" for value in refitted]
     of_dji = floats_in(values.get("VignettingData", ()))
     x, y = (floats_in(values.get(f"CalibratedOpticalCenter{axis}", ())) for axis in "XY")
@@ -167,8 +171,8 @@ def _vignetting(
     if plane and len(powers) == 2 * len(plane) and max(powers) <= 9:
         exponents = np.array(powers).reshape(-1, 2)
         before, after = raw / shape[::-1], at / camera.shape[::-1]
-        wanted = np.prod(before[:, None] ** exponents, axis=2) @ np.array(plane)
-        refitted = least_squares(np.prod(after[:, None] ** exponents, axis=2), wanted)
+        factors = np.prod(before[:, None] ** exponents, axis=2) @ np.array(plane)
+        refitted = least_squares(np.prod(after[:, None] ** exponents, axis=2), factors)
         changes["VignettingPolynomial2D"] = [f"{value:.16f}" for value in refitted]
     return changes
 
@@ -179,9 +183,9 @@ def _radial_fit(coefficients: Sequence[float], before: Float64, after: Float64) 
     It equals that of `coefficients` by the (n,) radius `before`.
     """
     powers = np.arange(1, len(coefficients) + 1)
-    wanted = (before[:, None] ** powers) @ np.array(coefficients)
+    factors = (before[:, None] ** powers) @ np.array(coefficients)
     scale = float(after.max())
-    fitted = least_squares((after[:, None] / scale) ** powers, wanted)
+    fitted = least_squares((after[:, None] / scale) ** powers, factors)
     return np.asarray(fitted / scale**powers)
 
 
@@ -192,8 +196,8 @@ def _edited(packet: str, name: str, items: Sequence[str] | None) -> str:
     """
     attribute = re.search(rf"""\s[\w.-]+:{name}\s*=\s*("[^"]*"|'[^']*')""", packet)
     if attribute is not None:
-        kept = packet[attribute.start() : attribute.start(1)]
-        text = "" if items is None else f'{kept}"{",".join(items)}"'
+        opening = packet[attribute.start() : attribute.start(1)]
+        text = "" if items is None else f'{opening}"{",".join(items)}"'
         return packet[: attribute.start()] + text + packet[attribute.end() :]
     begin = re.search(rf"<([\w.-]+:{name})(?:\s[^<>]*)?>", packet)
     end = -1 if begin is None else packet.find(f"</{begin[1]}>", begin.end())
@@ -220,9 +224,9 @@ def _with_description(packet: str, stated: Mapping[str, str]) -> str:
     ]
     declared = re.search(r"""xmlns:Camera\s*=\s*["']([^"'<>&]*)["']""", packet)
     about = re.search(r"""rdf:about\s*=\s*["']([^"'<>&]*)["']""", packet)
-    of, space = about[1] if about else "", declared[1] if declared else PIX4D
+    subject, space = about[1] if about else "", declared[1] if declared else PIX4D
     description = (
-        f'<rdf:Description rdf:about="{of}" xmlns:Camera="{space}" xmlns:pcwlad="{XMP_NAMESPACE}" '
+        f'<rdf:Description rdf:about="{subject}" xmlns:Camera="{space}" xmlns:pcwlad="{XMP_NAMESPACE}" '
         f"{' '.join(words)}/>\n"
     )
     end = packet.rfind("</rdf:RDF>")

@@ -57,15 +57,15 @@ def _write(table: TiePointTable, path: Path, rasters: PointRasters) -> None:
 
 def _read(source: PointSource) -> PointFile:
     """Read the points that are seen in the target, or in the only image of the file."""
-    seen = list(_seen(source.path, source.lines or ()))
-    names = {image for _, image, _ in seen}
-    wanted = "_".join(file_name(source.target_name).split())
-    if len(names) > 1 and wanted not in names:
+    points = list(_seen(source.path, source.lines or ()))
+    names = {image for _, image, _ in points}
+    image_name = "_".join(file_name(source.target_name).split())
+    if len(names) > 1 and image_name not in names:
         raise InputError(
-            f"{source.path} has points of {', '.join(sorted(names)[:5])}, and none of {wanted}: name the "
+            f"{source.path} has points of {', '.join(sorted(names)[:5])}, and none of {image_name}: name the "
             "target as the file does"
         )
-    ours = [(ground, pixel) for ground, image, pixel in seen if image == wanted or len(names) == 1]
+    ours = [(ground, pixel) for ground, image, pixel in points if image == image_name or len(names) == 1]
     lon_lat = np.array([ground for ground, _ in ours], dtype=np.float64).reshape(-1, 2)
     pixels = np.array([pixel for _, pixel in ours], dtype=np.float64).reshape(-1, 4)
     enabled = np.ones(len(ours), bool)

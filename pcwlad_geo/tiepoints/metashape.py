@@ -26,7 +26,7 @@ def _recognises(source: PointSource) -> bool:
 
 def _read(source: PointSource) -> PointFile:
     """Read the markers with a place on the ground that are seen in the target, or in the only photo."""
-    path, wanted = source.path, PurePath(file_name(source.target_name))
+    path, photo = source.path, PurePath(file_name(source.target_name))
     try:
         root = ET.fromstring("\n".join(source.lines or ()))
     except ET.ParseError as error:
@@ -35,10 +35,10 @@ def _read(source: PointSource) -> PointFile:
     for chunk in root.iter("chunk"):
         for label, rows in _seen(path, chunk).items():
             photos.setdefault(label, (rows, _crs_of(path, chunk)))
-    ours = [label for label in photos if label in (wanted.name, wanted.stem)]
+    ours = [label for label in photos if label in (photo.name, photo.stem)]
     if not ours and len(photos) > 1:
         raise InputError(
-            f"{path} has markers in {', '.join(sorted(photos)[:5])}, and none in {wanted}: name the target "
+            f"{path} has markers in {', '.join(sorted(photos)[:5])}, and none in {photo}: name the target "
             "as its photo is called"
         )
     if not photos:

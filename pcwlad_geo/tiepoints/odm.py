@@ -49,14 +49,14 @@ def _read(source: PointSource) -> PointFile:
     ]
     check_count(source.path, len(lines), LIMITS.points, "lines")
     crs = _crs_of(source.path, lines[0][1].strip())
-    seen = list(_seen(source.path, lines[1:]))
-    names, wanted = {image for *_, image in seen}, file_name(source.target_name)
-    if len(names) > 1 and wanted not in names:
+    points = list(_seen(source.path, lines[1:]))
+    names, image_name = {image for *_, image in points}, file_name(source.target_name)
+    if len(names) > 1 and image_name not in names:
         raise InputError(
-            f"{source.path} has points of {', '.join(sorted(names)[:5])}, and none of {wanted}: name the "
+            f"{source.path} has points of {', '.join(sorted(names)[:5])}, and none of {image_name}: name the "
             "target as the file does"
         )
-    ours = [(*ground, *pixel) for ground, pixel, image in seen if image == wanted or len(names) == 1]
+    ours = [(*ground, *pixel) for ground, pixel, image in points if image == image_name or len(names) == 1]
     numbers = np.array(ours, dtype=np.float64).reshape(-1, 4)
     return PointFile(numbers[:, :2], numbers[:, 2:], np.ones(len(numbers), bool), "map", "px", crs)
 

@@ -27,8 +27,8 @@ from pcwlad_geo.correction.proof_result import (
 )
 from pcwlad_geo.registration.proof.resampling import moves_of
 from pcwlad_geo.report.json_content import to_json
+from pcwlad_geo.report.proof_numbers import proof_numbers
 from pcwlad_geo.report.proof_page import proof_page
-from pcwlad_geo.report.summary import proof_numbers
 from tests.registrations import make_registration
 
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "proof.schema.json"

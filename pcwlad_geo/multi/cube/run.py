@@ -107,9 +107,9 @@ def place_dates(
         placements = _placements(job, [*references, *usable], len(references), datum)
         if medians:
             references = _medians(dates, placements, layout, reference, scratch)
-            again = replace(job, measurements={})  # pairs of dates are read from their folders
+            second_job = replace(job, measurements={})  # pairs of dates are read from their folders
             if references:
-                placements = _placements(again, [*references, *usable], len(references), 0)
+                placements = _placements(second_job, [*references, *usable], len(references), 0)
     empty = PlacedDate("", "refused", "it has no valid pixel")
     return [placements.get(scene.given.name, replace(empty, file=scene.given.path)) for scene in dates]
 
@@ -150,11 +150,11 @@ def _medians(
         return []
     middle = layout.grid.middle_px
     shift_px = np.median([correction.forward(middle) - middle for correction in good.values()], axis=0)[0]
-    back = AffineCorrection("shift", np.column_stack([np.eye(2), -shift_px]))
+    shift_back = AffineCorrection("shift", np.column_stack([np.eye(2), -shift_px]))
     months: dict[int, list[str]] = {}
     for scene, month in zip(dates, _months(layout), strict=True):
         if scene.given.name in good:
-            file = write_warped(scene, good[scene.given.name] @ back, layout, scratch)
+            file = write_warped(scene, good[scene.given.name] @ shift_back, layout, scratch)
             months.setdefault(month if reference == "monthly" else 0, []).append(file)
     largest_first = sorted(months.items(), key=lambda month: -len(month[1]))
     return [
