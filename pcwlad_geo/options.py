@@ -374,6 +374,15 @@ class Settings:
         False, "Write a STAC item of the registered raster with its accuracy, also as tags in it.", _REGISTER
     )
     """The errors at the check points, net of the matching noise, with CRS, checksum and how it was made."""
+    write_iiif: bool = option(
+        False, "Write the tie points as a Georeference Annotation of IIIF too.", _WRITING
+    )
+    iiif_source: str | None = option(
+        None,
+        "Canvas of the target, or info.json of its image service, that the annotation names.",
+        _WRITING,
+        metavar="URI",
+    )
     displacement_spacing: int | None = option(
         None,
         "Pixel of the displacement field, reference px; auto: a quarter of the window.",
@@ -510,6 +519,8 @@ def _check_together(settings: Settings) -> None:
         raise SettingsError(f"dem_vertical = {settings.dem_vertical!r} without a DEM: give --dem too")
     if settings.write_placed and settings.place is None:
         raise SettingsError("write_placed writes where place puts the target: give --place too")
+    if settings.iiif_source is not None and not settings.write_iiif:
+        raise SettingsError("iiif_source is named by the annotation of write_iiif: give --write-iiif too")
     if settings.place is not None and (settings.dem is not None or settings.model == "rpc"):
         raise SettingsError("place and an RPC (--dem, --model rpc) both place the target: give one of them")
     for name in ("tr", "te", "t_srs"):
@@ -599,6 +610,8 @@ class PairOptions(TypedDict, total=False):
     write_proj_grid: bool
     write_placed: bool
     write_stac: bool
+    write_iiif: bool
+    iiif_source: str | None
     displacement_spacing: int | None
     displacement_unit: DisplacementUnit
     prove: Literal["off", "quick", "full"]

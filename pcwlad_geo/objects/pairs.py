@@ -20,7 +20,7 @@ from pcwlad_geo.rigs.jpeg_parts import part_files
 
 OF_THE_FOLDER: Final = (
     *("require", "keep", "pdf", "no_report", "write_sigma", "write_displacement", "write_proj_grid"),
-    *("write_placed", "write_stac"),
+    *("write_placed", "write_stac", "write_iiif"),
     *("prove", "calibrate_sigma"),
 )
 """Options of whole jobs."""

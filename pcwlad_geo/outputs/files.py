@@ -22,6 +22,7 @@ from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.format import PointRasters, TiePointFormat
 from pcwlad_geo.tiepoints.geopackage import write_geopackage
+from pcwlad_geo.tiepoints.iiif import write_annotation
 from pcwlad_geo.tiepoints.readers import FORMATS
 
 if TYPE_CHECKING:  # slow to load; workers are started before
@@ -148,6 +149,19 @@ def _item(job: Writing, path: Path) -> None:
     write_item(path, job.registration, job.accuracy, job.places, job.staged["raster"], job.bands)
 
 
+def _annotation(job: Writing, path: Path) -> None:
+    registration = job.registration
+    target, settings = registration.target, registration.settings
+    write_annotation(
+        registration.tie_points,
+        path,
+        target.uri,
+        target.grid.shape,
+        source=settings.iiif_source,
+        model=registration.model,
+    )
+
+
 def _in_geotransform(registration: Registration) -> bool:
     is_affine = isinstance(registration.model, AffineCorrection)
     return registration.rpc is None and is_affine and registration.target.georeferenced
@@ -177,6 +191,9 @@ _FIELD: Final = Condition(
     "with `--write-displacement`", lambda job: job.settings.write_displacement, corrected=True
 )
 _GRID: Final = Condition("with `--write-proj-grid`", lambda job: job.settings.write_proj_grid, corrected=True)
+_ANNOTATION: Final = Condition(
+    "with `--write-iiif`, unless refused", lambda job: job.settings.write_iiif and job.status != "rejected"
+)
 _ITEM: Final = Condition("with `--write-stac`", lambda job: job.settings.write_stac, corrected=True)
 OUTPUTS: Final = (
     Output("numbers", "report.json", _ALWAYS, "the report for programs, as report.schema.json describes it"),
@@ -186,6 +203,13 @@ OUTPUTS: Final = (
         "tiepoints", "tiepoints.csv", _ALWAYS, "positions, displacement, sigma, residual, status", _tiepoints
     ),
     Output("geopackage", "tiepoints.gpkg", _PAGE, "the same for QGIS, styled by residual", _geopackage),
+    Output(
+        "annotation",
+        "{stem}_iiif.json",
+        _ANNOTATION,
+        "the tie points as a Georeference Annotation of IIIF",
+        _annotation,
+    ),
     Output(
         "corrected", "{stem}_corrected.vrt", _SHIFTED, "the target with corrected georeferencing", _corrected
     ),

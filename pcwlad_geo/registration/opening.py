@@ -119,6 +119,11 @@ def _check_outputs(settings: Settings, ref: RasterInfo, tgt: RasterInfo, *, has_
             "the reference has no CRS, and a STAC item tells where on earth a raster lies: leave out "
             "--write-stac, or give the reference a CRS (gdal_edit.py -a_srs)"
         )
+    if settings.write_iiif and ref.grid.crs is None:
+        raise InputError(
+            "the reference has no CRS, and a IIIF annotation tells longitudes and latitudes: leave out "
+            "--write-iiif, or give the reference a CRS (gdal_edit.py -a_srs)"
+        )
     if settings.write_displacement and settings.displacement_unit == "m" and ref.grid.crs is None:
         raise InputError(
             "the reference has no CRS, so that a displacement in metres is not known: leave out "

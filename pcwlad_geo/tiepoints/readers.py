@@ -20,6 +20,7 @@ FORMATS: Final = Registry(
     TiePointFormat,
     (
         "pcwlad_geo.tiepoints.correction_points:CORRECTION",
+        "pcwlad_geo.tiepoints.iiif:IIIF",
         "pcwlad_geo.tiepoints.qgis_points:QGIS",
         "pcwlad_geo.tiepoints.csv_file:CSV",
         "pcwlad_geo.tiepoints.gdal_csv:GDAL_CSV",
@@ -46,6 +47,7 @@ def read_point_file(path: Path | str, *, reference_name: str = "", target_name: 
     - `_gcps.csv`: columns column, line, x, y, as GDAL takes them;
     - `.gcp` of the Ames Stereo Pipeline, `gcp_list.txt` of OpenDroneMap, markers of Agisoft Metashape as XML:
       the points that the target shows;
+    - a Georeference Annotation of IIIF (JSON), or a page of several of which one is of the target;
     - a raster with ground control points.
 
     Raises `InputError` if the format is none of these, a cell is not a number, or there is no point.
@@ -110,6 +112,6 @@ def _unknown(path: str) -> InputError:
     return InputError(
         f"{path} is no file of tie points: give a tiepoints.csv (columns {', '.join(POSITIONS)}), a "
         "tiepoints.gpkg, a saved correction, a table of GCPs (column, line, x, y), a QGIS .points file, an "
-        "ENVI .pts file, an ASP .gcp file, a gcp_list.txt or a raster with ground control points"
-        + "".join(f"; {problem}" for problem in FORMATS.problems())
+        "ENVI .pts file, an ASP .gcp file, a gcp_list.txt, a IIIF annotation or a raster with ground control "
+        "points" + "".join(f"; {problem}" for problem in FORMATS.problems())
     )

@@ -116,10 +116,13 @@ def test_a_job_writes_a_valid_item_and_the_same_tags(tmp_path: Path, monkeypatch
 
 
 def test_a_raster_elsewhere_is_named_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    item = registered(tmp_path, monkeypatch, output_raster=Path("maps/b10.tif"), no_report=True)
+    item = registered(
+        tmp_path, monkeypatch, output_raster=Path("maps/b10.tif"), no_report=True, write_iiif=True
+    )
     check_item(item)
     assert (tmp_path / "out" / item["assets"]["data"]["href"]).resolve() == tmp_path / "maps/b10.tif"
     assert [link["rel"] for link in item["links"]] == ["derived_from", "derived_from", "describedby"]
+    assert "resourceCoords" in (tmp_path / "out/b10_20240617_iiif.json").read_text(encoding="utf-8")
 
 
 def test_a_pair_without_a_crs_has_no_item(tmp_path: Path) -> None:
