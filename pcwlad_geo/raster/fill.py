@@ -29,7 +29,7 @@ class FillParameters:
     max_between: float = 0.2
     """Largest number of values that are neither the fill nor near the data, as a share of the fill's pixels:
     where resampling has mixed both."""
-    min_values: int = 32
+    min_values: int = 16
     """Least number of other values: masks, classes and plans of few colours have no fill."""
     max_among_data: float = 0.02
     """Largest share of the other pixels with the value of a fill that only the same place in both shows."""
@@ -113,17 +113,21 @@ def without_shared_fill(
         return unchanged
     row, col, inside = _places_in(reference.grid, overview.shape, target.grid, other.shape)
     common = overview.unmarked(reference) & inside & other.unmarked(target)[row, col]
-    for reference_end, target_end in product(*ends):
-        areas = overview.values == reference_end, other.values[row, col] == target_end
-        share = _shared_share(areas[0] & common, areas[1] & common, common)
-        if share:
-            ref, tgt = (
-                replace(info, fills=(*info.fills, Fill(end, end, end, share)))
-                for info, end in ((reference, reference_end), (target, target_end))
-            )
-            why = f"in the same part of the map as {tgt.uri} the value {target_end:g}"
-            return ref, tgt, (fill_note(ref, ref.fills[-1], why),)
-    return unchanged
+    shares = {
+        (one, two): _shared_share(
+            (overview.values == one) & common, (other.values[row, col] == two) & common, common
+        )
+        for one, two in product(*ends)
+    }
+    reference_end, target_end = max(shares, key=lambda pair: shares[pair])
+    if not (share := shares[reference_end, target_end]):
+        return unchanged
+    ref, tgt = (
+        replace(info, fills=(*info.fills, Fill(end, end, end, share)))
+        for info, end in ((reference, reference_end), (target, target_end))
+    )
+    why = f"in the same part of the map as {tgt.uri} the value {target_end:g}"
+    return ref, tgt, (fill_note(ref, ref.fills[-1], why),)
 
 
 def _frequent_ends(info: RasterInfo, pixels: BandPixels) -> list[float]:

@@ -15,15 +15,15 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import RasterInfo, RpcGrid, View, Window
+from pcwlad_geo.registration.frame_marks import Frames, without_marked, without_specks
 from pcwlad_geo.registration.frame_structure import (
     FrameParameters,
-    Frames,
     common_grey,
+    ground_beside,
     is_of_single_pixels,
     near_rival,
     rival,
     share_at,
-    share_without_specks,
 )
 from pcwlad_geo.types import Bool, Float32, Float64
 
@@ -68,7 +68,7 @@ class FrameEvidence:
         evidence = f"only {100 * self.share:.0f} % of the places with structure agree there {self.manner}"
         if self.rival_px is not None:
             col, row = self.rival_px
-            evidence = f"without it there is ground that has moved by about ({col:+.0f}, {row:+.0f}) px"
+            evidence = f"without it there is ground that has moved by about ({col:+.2g}, {row:+.2g}) px"
         only = "only" if self.is_frame else "perhaps only"
         return (
             f"{SAME_PIXELS}{only} in what stands still in both frames: "
@@ -124,11 +124,11 @@ def _evidence_of(
     """Return what speaks for the ground of two (rows, cols) images whose points have (n, 2) displacements."""
     middle_px = np.median(displacement_px, axis=0)
     most_px = float(np.quantile(np.hypot(*displacement_px.T), parameters.most))
-    one, other, valid = frames
-    for end in (np.min, np.max):  # text and marks burnt in are as dark or bright as can be
-        valid = valid & ~((one == end(one)) & (other == end(other)))
-    unmarked = frames._replace(valid=valid)
-    near_px = near_rival(unmarked, middle_px, parameters)
+    unmarked = without_marked(frames, parameters.specks)
+    unspecked = without_specks(unmarked, parameters.specks) if raw else None
+    marked = frames._replace(valid=unmarked.valid)
+    near_px = near_rival(marked, middle_px, parameters)
+    near_px = near_px or ground_beside(unspecked or unmarked, displacement_px, parameters)
     on_axis = (np.abs(middle_px) <= parameters.identity_px) & (
         np.quantile(np.abs(displacement_px), parameters.most, axis=0) <= parameters.scatter_px
     )
@@ -137,7 +137,7 @@ def _evidence_of(
         return FrameEvidence(1.0, near_px, parameters=parameters)
     if pulled and not on_axis.any():
         return None
-    window, quarter = parameters.window_px, min(one.shape) // 8 * 2 + 1
+    window, quarter = parameters.window_px, min(frames.one.shape) // 8 * 2 + 1
     window = max(parameters.smallest_window_px, min(quarter, window)) if raw else window
     share = share_at(middle_px, unmarked, window, parameters)
     if pulled:  # whole columns or rows place the points along one axis alone
@@ -148,10 +148,10 @@ def _evidence_of(
     if rival_px is None and is_of_single_pixels(frames, parameters):
         return FrameEvidence(0.0, None, WITHOUT_PATTERN, parameters)
     exact = bool(on_axis.all()) and most_px <= parameters.scatter_px
-    shares_pattern = exact and common_grey(unmarked) >= parameters.common_grey
+    shares_pattern = exact and common_grey(marked) >= parameters.common_grey
     if share is None or not (shares_pattern or rival_px):
         return None
-    rest = share_without_specks(unmarked, window, parameters) if raw and rival_px is None else None
+    rest = share_at(middle_px, unspecked, window, parameters) if unspecked and rival_px is None else None
     if rest is not None and rest < share:
         return FrameEvidence(rest, None, WITHOUT_SPECKS, parameters)
     return FrameEvidence(share, rival_px, parameters=parameters)

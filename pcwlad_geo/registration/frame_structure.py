@@ -1,39 +1,18 @@
-"""What two images of one size share on the same pixels: patterns, specks, lines, and ground beside them."""
+"""What two images of one size share on the same pixels: patterns, lines, and ground beside them."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from pcwlad_geo.registration.frame_marks import Frames, SpeckParameters, structure_band
 from pcwlad_geo.types import Bool, Float32, Float64
-
-
-@dataclass(frozen=True, slots=True)
-class SpeckParameters:
-    """How specks are found that lie on the same pixels of both frames: dust, drops, dead pixels, ships."""
-
-    outlying: float = 3.0
-    """Least deviation of a pixel from its surroundings in both images, to the same side, robust sigmas."""
-    surroundings_px: float = 12.0
-    """Standard deviation of the filter that gives the surroundings."""
-    grow_px: int = 3
-    """By how much specks are grown, for their blurred edges."""
-    largest_px: int = 40
-    """Largest extent of a speck; larger ones are ground, such as an island."""
-    most: float = 0.2
-    """Largest share of the image that is specks; beyond it, it is texture."""
-    fill_px: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
-    """Standard deviations of the filters that fill specks from around them, in turn."""
-    structured: float = 2.0
-    """Least ratio of the structure to that of white noise from which the rest of an image can tell: 1.3 of
-    noise, 9 and more of ground, however faint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,32 +84,25 @@ class FrameParameters:
     pattern: at most 2.5 where the ground cannot be seen, 19 and more of bands without a pattern."""
     drawn_share: float = 0.75
     """Largest part of the way from no displacement to this peak at which tie points are drawn back."""
+    beside_px: float = 0.4
+    """Least distance of the ground, seen without stripes and waves, from tie points that miss it."""
+    beside_scatter: float = 3.0
+    """The same in scatters of the points about their median: 4 and more of points drawn by stripes, lines
+    or waves; where points follow ground that is bent or turned, they scatter as far as it goes."""
+    beside_steps: int = 21
+    """How many places are asked from one pixel before its peak to one after, along either axis."""
+    beside_z: float = 25.0
+    """Least peak of the ground's phase correlation, its standard deviations: 70 and more of ground drawn by
+    stripes, at most 17 of bands in place."""
+    beside_ratio: float = 1.5
+    """Least ratio of this peak to the value at the points, where it lies more than a pixel from them."""
     specks: SpeckParameters = field(default_factory=SpeckParameters)
     """Those of specks."""
 
 
-class Frames(NamedTuple):
-    """Two images of one size that lie on the same pixels."""
-
-    one: Float32
-    """(rows, cols) grey values, the invalid ones as the median."""
-    other: Float32
-    """(rows, cols) grey values of the other image."""
-    valid: Bool
-    """(rows, cols) pixels that count in both."""
-
-
-def _band(values: Float32, smooth_px: float) -> Float32:
-    """Return values without pattern of single pixels, shading, and what whole rows or columns have."""
-    band = cv2.GaussianBlur(values, (0, 0), smooth_px) - cv2.GaussianBlur(values, (0, 0), 3 * smooth_px)
-    band -= np.median(band, axis=0)
-    band -= np.median(band, axis=1)[:, None]
-    return np.asarray(band, np.float32)
-
-
 def _structure(values: Float32, valid: Bool, parameters: FrameParameters) -> Float32:
     """Return the (2, rows, cols) orientation of slopes at twice its angle, times their size."""
-    band = _band(values, parameters.smooth_px)
+    band = structure_band(values, parameters.smooth_px)
     x, y = cv2.Sobel(band, cv2.CV_32F, 1, 0), cv2.Sobel(band, cv2.CV_32F, 0, 1)
     inner = cv2.erode(valid.astype(np.uint8), np.ones((2 * round(3 * parameters.smooth_px) + 1,) * 2)) > 0
     return np.asarray(np.stack([x * x - y * y, 2 * x * y]) * (inner / (np.hypot(x, y) + 1e-12)), np.float32)
@@ -161,70 +133,6 @@ def share_at(at_px: Float64, frames: Frames, window: int, parameters: FrameParam
     return _share_of_structured(np.asarray(at_none), (power[0], sums(power[1])), parameters)
 
 
-def share_without_specks(frames: Frames, window: int, parameters: FrameParameters) -> float | None:
-    """Return the share of places that agree without specks that both have; None if it tells nothing.
-
-    Dust on a sensor or a window multiplies both frames by the same at the same pixels. Where all that agrees
-    lies there, the ground does not.
-    """
-    one, other, valid = frames
-    specks = _specks(one, other, valid, parameters)
-    if not 0 < specks.mean() <= parameters.specks.most:
-        return None
-    filled = [_filled(values, specks, parameters) for values in (one, other)]
-    if (
-        min(_structure_by_noise(values, valid & ~specks, parameters) for values in filled)
-        < parameters.specks.structured
-    ):
-        return None
-    return share_at(np.zeros(2), Frames(filled[0], filled[1], valid & ~specks), window, parameters)
-
-
-def _specks(one: Float32, other: Float32, valid: Bool, parameters: FrameParameters) -> Bool:
-    """Return the pixels of small specks that are much brighter, or much darker, in both images."""
-    first, second = (_outlying(values, valid, parameters) for values in (one, other))
-    outliers = (np.minimum(first, second) > parameters.specks.outlying) | (
-        np.maximum(first, second) < -parameters.specks.outlying
-    )
-    kernel = np.ones((2 * parameters.specks.grow_px + 1,) * 2)
-    grown = cv2.dilate((outliers & valid).astype(np.uint8), kernel)
-    _, labels, boxes, _ = cv2.connectedComponentsWithStats(grown)
-    small = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= parameters.specks.largest_px
-    return np.asarray(small[labels] & (labels > 0))
-
-
-def _outlying(values: Float32, valid: Bool, parameters: FrameParameters) -> Float32:
-    """Return the deviations of pixels from their surroundings, robust sigmas."""
-    away = cv2.GaussianBlur(
-        values - cv2.GaussianBlur(values, (0, 0), parameters.specks.surroundings_px), (0, 0), 1.0
-    )
-    middle = np.median(away[valid])
-    sigma = 1.4826 * float(np.median(np.abs(away[valid] - middle)))
-    return np.asarray((away - middle) / max(sigma, 1e-6), np.float32)
-
-
-def _filled(values: Float32, holes: Bool, parameters: FrameParameters) -> Float32:
-    """Return values with holes filled smoothly from around them."""
-    filled, filled_pixels = values.copy(), np.asarray(~holes)
-    weight = filled_pixels.astype(np.float32)
-    for sigma_px in parameters.specks.fill_px:
-        around = cv2.GaussianBlur(values * weight, (0, 0), sigma_px)
-        reached = cv2.GaussianBlur(weight, (0, 0), sigma_px)
-        new = ~filled_pixels & np.asarray(reached > 0.05)
-        filled[new] = around[new] / reached[new]
-        filled_pixels |= new
-    return filled
-
-
-def _structure_by_noise(values: Float32, valid: Bool, parameters: FrameParameters) -> float:
-    """Return the ratio of the structure to that of white noise as strong as the finest differences."""
-    fine = values - cv2.blur(values, (3, 3))
-    inner, outer = parameters.smooth_px, 3 * parameters.smooth_px
-    passed = (1 / inner**2 + 1 / outer**2 - 4 / (inner**2 + outer**2)) / (4 * np.pi)  # of its variance
-    structure, noise = (float(np.median(np.abs(image[valid]))) for image in (_band(values, inner), fine))
-    return float(structure / max(noise * np.sqrt(9 / 8 * passed), 1e-12))
-
-
 def _share_of_structured(
     at_none: Bool, powers: Sequence[Float32], parameters: FrameParameters
 ) -> float | None:
@@ -248,10 +156,7 @@ def rival(frames: Frames, parameters: FrameParameters) -> tuple[float, float] | 
     rows, cols = one.shape
     taper = np.hanning(rows)[:, None] * np.hanning(cols)
     first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
-    row, col = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(cols)
-    radius = np.hypot(row, col)
-    band = (radius < 1 / parameters.finest_px) & (radius > 1 / parameters.coarsest_px)
-    band &= (np.abs(row) > 2 / rows) & (np.abs(col) > 2 / cols)  # rows and columns that stand out
+    band = _frequencies(one.shape, parameters)
     crossed = np.conj(first) * second * band
     correlation = crossed.real.sum() / max(
         np.linalg.norm(first * band) * np.linalg.norm(second * band), 1e-12
@@ -260,7 +165,8 @@ def rival(frames: Frames, parameters: FrameParameters) -> tuple[float, float] | 
         return None
     sign = 1.0 if correlation >= 0 else -1.0
     peaks = _cepstrum(first - sign * second, band)
-    distant = np.maximum(np.abs(row * rows), np.abs(col * cols)) >= parameters.rival_min_px
+    far = [np.abs(np.fft.fftfreq(side) * side) >= parameters.rival_min_px for side in (rows, cols)]
+    distant = far[0][:, None] | far[1]
     at = np.unravel_index(np.argmax(np.where(distant, peaks, 0)), peaks.shape)
     cepstra = peaks, _cepstrum(first, band), _cepstrum(second, band)
     depth, *own_depths = (
@@ -295,6 +201,73 @@ def near_rival(frames: Frames, middle_px: Float64, parameters: FrameParameters) 
     if window[row, col] < least or not is_drawn:
         return None
     return float(ground_px[0]), float(ground_px[1])
+
+
+def ground_beside(
+    frames: Frames, displacement_px: Float64, parameters: FrameParameters
+) -> tuple[float, float] | None:
+    """Return where the ground lies if it lies beside tie points of (n, 2) displacements that agree.
+
+    Rows, columns and waves that stand still draw the points, but are few frequencies. Phase correlation
+    counts all alike.
+
+    Parameters
+    ----------
+    displacement_px : (n, 2) array
+        Displacements (col, row) of the tie points, px.
+    """
+    rows, cols = frames.one.shape
+    crossed = _phases(frames, parameters)
+    surface, reach = np.fft.ifft2(crossed).real, parameters.reach_px
+    window = np.roll(surface, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    row, col = np.unravel_index(int(window.argmax()), window.shape)
+    if window[row, col] < parameters.beside_z * surface.std():
+        return None
+    fine = np.linspace(-1, 1, parameters.beside_steps)
+    down, right = int(row) - reach + fine, int(col) - reach + fine
+
+    def at(down_px: Float64, right_px: Float64) -> Float64:
+        """Return the surface between pixels."""
+        waves = [
+            np.exp(2j * np.pi * np.outer(px, np.fft.fftfreq(side)))
+            for px, side in ((down_px, rows), (right_px, cols))
+        ]
+        return np.asarray((waves[0] @ crossed @ waves[1].T).real)
+
+    peaks, middle_px = at(down, right), np.median(displacement_px, axis=0)
+    best = np.unravel_index(int(peaks.argmax()), peaks.shape)
+    ground_px = np.array([right[best[1]], down[best[0]]])
+    beside_px = float(np.hypot(*(ground_px - middle_px)))
+    scatter_px = float(np.quantile(np.hypot(*(displacement_px - middle_px).T), parameters.most))
+    at_points = abs(float(at(middle_px[1:], middle_px[:1])[0, 0]))
+    is_same_peak = beside_px > 1 and peaks.max() < parameters.beside_ratio * at_points
+    is_pattern = np.hypot(*ground_px) < parameters.pulled_px  # a sensor's, which stands still itself
+    if (
+        is_pattern
+        or is_same_peak
+        or beside_px < max(parameters.beside_px, parameters.beside_scatter * scatter_px)
+    ):
+        return None
+    return float(ground_px[0]), float(ground_px[1])
+
+
+def _phases(frames: Frames, parameters: FrameParameters) -> NDArray[np.complex128]:
+    """Return the (rows, cols) phases of the cross spectrum, 0 outside the band of wavelengths."""
+    one, other, valid = frames
+    rows, cols = one.shape
+    taper = np.hanning(rows)[:, None] * np.hanning(cols)
+    first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
+    crossed = np.conj(first) * second
+    return np.asarray(crossed / (np.abs(crossed) + 1e-9) * _frequencies((rows, cols), parameters))
+
+
+def _frequencies(shape: tuple[int, ...], parameters: FrameParameters) -> Bool:
+    """Return the frequencies in which ground is sought, without those of whole rows and columns."""
+    rows, cols = shape
+    row, col = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(cols)
+    radius = np.hypot(row, col)
+    band = (radius < 1 / parameters.finest_px) & (radius > 1 / parameters.coarsest_px)
+    return np.asarray(band & (np.abs(row) > 2 / rows) & (np.abs(col) > 2 / cols))
 
 
 def is_of_single_pixels(frames: Frames, parameters: FrameParameters) -> bool:

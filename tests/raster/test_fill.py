@@ -72,6 +72,20 @@ def test_fill_in_the_same_part_of_both_is_nodata(tmp_path: Path, dtype: str, fil
         assert (valid == ~island()).mean() > 0.999
 
 
+@pytest.mark.parametrize(("dtype", "fill"), [("int16", -9999), ("uint8", 0), ("uint8", 255)])
+def test_fill_in_both_of_ground_of_few_grey_values_is_nodata(tmp_path: Path, dtype: str, fill: float) -> None:
+    read = []
+    for number, shift_px in enumerate([(0.0, 0.0), SHIFT_PX]):
+        faint = (seen(dtype, shift_px) // 8 + 100).astype(dtype)
+        assert 16 < len(np.unique(faint)) < 30
+        path = write(tmp_path / f"{number}.tif", np.where(island(), fill, faint).astype(dtype))
+        read.append(without_undeclared(describe(path))[0])
+    for info in without_shared_fill(*read)[:2]:
+        valid = View(info, info.grid, "none").read(Window.whole(SHAPE)).valid
+        assert not valid[island()].any()
+        assert valid[~island()].mean() > 0.97
+
+
 @pytest.mark.parametrize("share", [0.1, 0.03])
 def test_a_fill_beside_a_declared_one_is_found(tmp_path: Path, share: float) -> None:
     values = seen("int16")

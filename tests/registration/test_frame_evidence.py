@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -239,3 +240,86 @@ def test_ground_under_the_pattern_is_found(tmp_path: Path) -> None:
     assert found.status == "registered"
     points = found.tie_points.select("fit", "check", "unused")
     np.testing.assert_allclose(np.median(points.displacement_px, axis=0), moved_px, atol=0.1)
+
+
+NEAR_PX = (2.3, -1.6)
+WRITING = np.zeros(SHAPE, np.uint8)
+for _row in range(30, SHAPE[0], 60):
+    for _col in range(-40 + _row % 50, SHAPE[1], 110):
+        cv2.putText(WRITING, "(c) AIR", (_col, _row), cv2.FONT_HERSHEY_SIMPLEX, 0.8, 255, 2)
+HOLE = np.hypot(*(np.indices(SHAPE) - 160)) < 80 + 20 * np.sin(5 * np.arctan2(*(np.indices(SHAPE) - 160)))
+
+
+def plain(seed: int, moved_px: tuple[float, float], noise_seed: int) -> Array:
+    """Return a frame of ground without much contrast, and without a pattern of the sensor."""
+    return faint(seed, moved_px, noise_seed) - PATTERN
+
+
+def striped(values: Array) -> Array:
+    return values + np.random.default_rng(5).normal(0, 5, (SHAPE[0], 1))
+
+
+def waved(values: Array) -> Array:
+    return values + 5 * np.sin(np.indices(SHAPE).sum(axis=0) * 2 * np.pi / 11)
+
+
+def with_dead_columns(values: Array) -> Array:
+    dead = np.random.default_rng(6).choice(SHAPE[1], 12, replace=False)
+    return np.where(np.isin(np.arange(SHAPE[1]), dead), 20.0, values)
+
+
+def written_on(values: Array) -> Array:
+    return values + 0.4 * WRITING / 255 * (255 - values)
+
+
+def masked(values: Array) -> Array:
+    return np.where(HOLE, 255.0, values)
+
+
+DRAWN = [
+    (striped, (2.6, 0.1)),
+    (waved, (1.9, -2.1)),
+    (with_dead_columns, (0.0, -1.9)),
+    (written_on, (0.0, 0.0)),
+]
+"""What stands still, and where the tie points of ground moved by `NEAR_PX` come to lie because of it."""
+
+
+def evidence_at(
+    folder: Path, frames: tuple[Array, Array], displacement_px: tuple[float, float]
+) -> FrameEvidence | None:
+    infos = [describe(frame(folder / f"{n}.tif", values)) for n, values in enumerate(frames)]
+    scatter_px = np.random.default_rng(9).normal(0, 0.03, POINTS.shape)
+    return frame_evidence(*infos, POINTS, POINTS + displacement_px + scatter_px)
+
+
+@pytest.mark.parametrize(("seen", "drawn_px"), DRAWN)
+def test_stripes_waves_and_writing_do_not_hide_where_the_ground_has_moved(
+    tmp_path: Path, seen: Callable[[Array], Array], drawn_px: tuple[float, float]
+) -> None:
+    frames = seen(plain(0, (0, 0), 0)), seen(plain(0, NEAR_PX, 1))
+    told = evidence_at(tmp_path, frames, drawn_px)
+    assert told is not None
+    assert told.is_frame
+    np.testing.assert_allclose(told.rival_px, NEAR_PX, atol=0.3)
+
+
+@pytest.mark.parametrize("seen", [seen for seen, _ in DRAWN])
+@pytest.mark.parametrize("moved_px", [(0.0, 0.0), NEAR_PX])
+def test_points_on_the_ground_are_not_doubted_for_stripes_waves_and_writing(
+    tmp_path: Path, seen: Callable[[Array], Array], moved_px: tuple[float, float]
+) -> None:
+    frames = seen(plain(0, (0, 0), 0)), seen(plain(0, moved_px, 1))
+    told = evidence_at(tmp_path, frames, moved_px)
+    assert told is None or told.doubt is None
+
+
+@pytest.mark.parametrize("seen", [written_on, masked])
+def test_writing_and_masks_over_other_ground_are_no_evidence_of_it(
+    tmp_path: Path, seen: Callable[[Array], Array]
+) -> None:
+    told = evidence_at(tmp_path, (seen(plain(0, (0, 0), 0)), seen(plain(1, (0, 0), 1))), (0.0, 0.0))
+    assert told is not None
+    assert told.doubt is not None
+    in_place = evidence_at(tmp_path, (seen(plain(0, (0, 0), 0)), seen(plain(0, (0, 0), 1))), (0.0, 0.0))
+    assert in_place is None or in_place.doubt is None
