@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rasterio
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.opening import SIGNATURES
+from pcwlad_geo.raster.opening import SIGNATURES, open_raster
 from pcwlad_geo.raster.source import describe
 from pcwlad_geo.raster.trust.permissions import Trust, trusting
+from tests.scenes import make_grid
 
 
 @pytest.mark.parametrize("driver", ["HDF4", "ISIS3"])
@@ -25,6 +27,22 @@ def test_a_format_without_a_driver_is_named(
     ) as raised:
         describe(path.as_posix())
     assert "damaged" not in str(raised.value)
+
+
+def test_a_header_of_another_file_makes_no_raw_pixels_of_a_geopackage(tmp_path: Path) -> None:
+    grid, pixels = make_grid((40, 50)), np.full((1, 40, 50), 7, np.uint8)
+    profile = {"count": 1, "dtype": "uint8", "height": 40, "width": 50}
+    profile |= {"crs": grid.crs, "transform": grid.transform}
+    for name, driver in (("scene.gpkg", "GPKG"), ("scene.img", "ENVI")):
+        with rasterio.open(tmp_path / name, "w", driver=driver, **profile) as file:
+            file.write(pixels)
+    assert (tmp_path / "scene.hdr").exists()
+    with open_raster(str(tmp_path / "scene.img")) as file:
+        assert file.driver == "ENVI"
+    with pytest.raises(InputError, match="with --trust-vrt only"):
+        describe(str(tmp_path / "scene.gpkg"))
+    with trusting(Trust(vrt=True)), open_raster(str(tmp_path / "scene.gpkg")) as file:
+        assert file.driver == "GPKG"
 
 
 def test_an_option_that_is_given_is_not_advised(tmp_path: Path) -> None:

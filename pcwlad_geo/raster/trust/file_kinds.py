@@ -33,11 +33,12 @@ _SIGNATURES: Final = (
     *(b"EHFA_HEADER_TAG", b"NITF0", b"NSIF0"),
 )
 _CLASSIC_NETCDF: Final = (b"CDF\x01", b"CDF\x02", b"CDF\x05")
+_SQLITE: Final = b"SQLite format 3\0"
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 MARKS_OF_OTHERS: Final = (b"<GDALTileIndexDataset", b"<GDAL_WMS", b"<MRF_META")
 """GDAL searches for these beyond the beginning too, so a file with them may be opened by another driver."""
 
-Kind = Literal["vrt", "classic netCDF", "HDF5", "signed", "other"]
+Kind = Literal["vrt", "classic netCDF", "HDF5", "SQLite", "signed", "other"]
 
 
 def kind_of_head(head: bytes) -> Kind:
@@ -48,6 +49,8 @@ def kind_of_head(head: bytes) -> Kind:
         return "classic netCDF"
     if _HDF5 in head:
         return "HDF5"
+    if head.startswith(_SQLITE):
+        return "SQLite"
     if head.startswith(_SIGNATURES) and not any(mark in head for mark in MARKS_OF_OTHERS):
         return "signed"
     return "other"
@@ -59,4 +62,6 @@ def drivers_for(kind: Kind) -> tuple[str, ...]:
         return ("VRT",)
     if kind == "HDF5":
         return _HDF5_DRIVERS
+    if kind == "SQLite":  # a GeoPackage, which a header of another file beside it does not make raw pixels
+        return SIGNED_DRIVERS
     return (*PLAIN_DRIVERS, "netCDF") if kind == "classic netCDF" else PLAIN_DRIVERS
