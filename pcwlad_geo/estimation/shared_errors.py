@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 import scipy.sparse
+from numpy.typing import NDArray
 
 from pcwlad_geo.estimation.solving import inverse, solve
 from pcwlad_geo.types import Float64
@@ -98,11 +99,25 @@ def probes_of(xy_px: Float64, parameters: SharedErrorParameters = SHARED_ERRORS)
     return random_signs(xy_px, int(np.clip(count, parameters.min_probes, parameters.max_probes)))
 
 
-def random_signs(xy_px: Float64, count: int) -> Float64:
-    """Return (n, `count`) random signs that depend on the (n, 2) positions `xy_px`, not on their order."""
-    signs = np.empty((len(xy_px), count))
-    signs[np.lexsort(xy_px.T)] = np.random.default_rng(0).choice([-1.0, 1.0], size=signs.shape)
-    return signs
+def random_signs(xy_px: Float64, count: int, step_px: float = 1e-3) -> Float64:
+    """Return (n, `count`) random signs, each row by its own of the (n, 2) positions `xy_px` alone.
+
+    A point more or less changes no other's signs, so that a fit does not jump. They are bits of a hash
+    (splitmix64) of the position in steps of `step_px`.
+    """
+    steps = np.rint(xy_px / step_px).astype(np.int64).view(np.uint64)
+    state = _mixed(_mixed(steps[:, 0]) ^ steps[:, 1])
+    words = [_mixed(state + np.uint64(word)) for word in range(-(-count // 64))]
+    bits = np.column_stack(words)[:, :, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
+    return np.where(bits.reshape(len(xy_px), -1)[:, :count] > 0, 1.0, -1.0)
+
+
+def _mixed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return 64 bits for each value, in which each bit of it has a part."""
+    values = values + np.uint64(0x9E3779B97F4A7C15)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        values = (values ^ values >> np.uint64(shift)) * np.uint64(factor)
+    return values ^ values >> np.uint64(31)
 
 
 def parameter_covariance(

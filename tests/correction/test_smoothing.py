@@ -70,6 +70,19 @@ def test_without_knowing_the_windows_shared_errors_pass_for_detail() -> None:
     assert deluded.freedom > 100
 
 
+def test_a_point_less_bends_the_spline_nowhere_else() -> None:
+    points = scattered(10, 300)
+    observed = points + waves(10, points, 1.0, 700) + noise(10, 300, 0.1)
+
+    def fitted(count: int) -> Array:
+        part = slice(300 - count, None)
+        fit = fit_tps(points[part], observed[part], isotropic(count, 0.1), footprint_px=81)
+        return fit.correction.forward(points)
+
+    moves = [np.hypot(*(fitted(count) - fitted(count - 1)).T) for count in range(300, 290, -1)]
+    assert max(np.median(move) for move in moves) < 0.002
+
+
 def test_waves_are_followed_about_as_well_as_can_be() -> None:
     points, places = scattered(1, 500, 1024), inside(1024)
     error = np.sqrt(0.5) * (window_noise(1, points, 1024, 81) + noise(1, 500, 1.0))

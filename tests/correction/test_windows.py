@@ -52,4 +52,6 @@ def test_random_signs_go_with_the_points() -> None:
     points = scattered(4, 100)
     order = np.random.default_rng(4).permutation(100)
     np.testing.assert_array_equal(random_signs(points[order], 5), random_signs(points, 5)[order])
+    np.testing.assert_array_equal(random_signs(points[1:], 5), random_signs(points, 5)[1:])
+    assert abs(random_signs(points, 200).mean()) < 0.02
     assert set(np.unique(random_signs(points, 5))) == {-1.0, 1.0}
