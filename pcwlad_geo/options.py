@@ -209,7 +209,7 @@ class Settings:
     ref_zoom: int | None = option(
         None,
         "Zoom of a web map as reference; auto: pixels about as large as the target's.",
-        _PAIR,
+        (*_PAIR, "stack"),
         metavar="N|auto",
         none_word="auto",
         least=1,

@@ -8,9 +8,9 @@ import queue
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
@@ -93,30 +93,82 @@ def fetch(name: str, inputs: Inputs, path: Path, on_event: EventCallback) -> Set
     nothing places is looked for in all of the extent. Raises `TrustError` if a network may not be used, and
     `InputError` if the service or the place is not understood, is refused, or half of its tiles are missing.
     """
+    service = _service(name)
+    info = inputs.target_beside(_whole(service))
+    zoom, window, settings = _part(service, info, inputs.target, inputs.settings)
+    Part(service, zoom, window, exact=settings.ref_zoom is not None).fetch(path, on_event)
+    return settings
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """The part of a web map that is needed."""
+
+    service: Service
+    zoom: int
+    window: Window
+    """Pixels of the zoom."""
+    exact: bool
+    """Whether the user has chosen the zoom; where there are no tiles of it, a coarser one is taken if not."""
+
+    @classmethod
+    def of_all(cls, name: str, infos: Sequence[RasterInfo], settings: Settings) -> Part:
+        """Return the part that several images need, at the zoom of the finest.
+
+        Raises `TrustError` and `InputError` as `fetch` does before it fetches.
+        """
+        service = _service(name)
+        parts = [_part(service, info, info.uri, settings)[:2] for info in infos]
+        zoom = max(zoom for zoom, _ in parts)
+        corners = [np.array(_corners(window)) * 2.0 ** (zoom - own) for own, window in parts]
+        window = Window.around(np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1)))
+        return cls(service, zoom, window, settings.ref_zoom is not None)
+
+    def is_in(self, info: RasterInfo) -> bool:
+        """Return whether a raster was fetched from the service and shows the part."""
+        if info.basemap is None or info.basemap.name != self.service.name:
+            return False
+        corners = np.array(_corners(self.window), dtype=np.float64)
+        corners_px = info.grid.to_px(self.service.level(self.zoom).to_xy(corners))
+        per_px = np.ptp(corners_px, axis=0) / self.window.shape[::-1]
+        inside = (corners_px > -0.5) & (corners_px < np.array(info.grid.shape[::-1]) + 0.5)
+        return bool(inside.all() and (not self.exact or np.allclose(per_px, 1.0)))
+
+    def fetch(self, path: Path, on_event: EventCallback) -> None:
+        """Fetch it into a GeoTIFF; raises `InputError` if the service refuses, or half of it is missing."""
+        service, zoom, window = self.service, self.zoom, self.window
+        known: dict[Tile, Pixels] = {}
+        if not self.exact:
+            zoom, window = _existing(service, zoom, window, known)
+        tiles = _tiles(window, zoom, service.tile_px)
+        if len(tiles) > LIMITS.basemap_tiles:
+            raise InputError(
+                f"{service.name}: {len(tiles)} tiles of zoom {zoom} show the ground of the target, and at "
+                f"most {LIMITS.basemap_tiles} are fetched: give --ref-zoom {max(1, zoom - 1)} or less, or an "
+                "--extent"
+            )
+        on_event(Progress("fetching", 0, len(tiles)))
+        failures = _write(service, path, tiles, _fetched(service, tiles, known, on_event))
+        if sum(failures.values()) > FETCHING.most_missing * len(tiles):
+            said = ", ".join(f"{count} are {reason}" for reason, count in failures.most_common())
+            raise InputError(
+                f"{service.name} has too little of the ground of the target at zoom {zoom}: of {len(tiles)} "
+                f"tiles {said}; give a coarser --ref-zoom, such as {max(1, zoom - 2)}, or another map"
+            )
+
+
+def _service(name: str) -> Service:
+    """Return the service of a name; raises `TrustError` if a network may not be used."""
     if not current_trust().remote:
         raise TrustError(
             f"{name.partition('?')[0]} is fetched over a network: give --allow-remote to allow that"
         )
-    service = find_service(name, _read_text)
-    zoom, window, settings = _part(service, inputs)
-    known: dict[Tile, Pixels] = {}
-    if settings.ref_zoom is None:
-        zoom, window = _existing(service, zoom, window, known)
-    tiles = _tiles(window, zoom, service.tile_px)
-    if len(tiles) > LIMITS.basemap_tiles:
-        raise InputError(
-            f"{service.name}: {len(tiles)} tiles of zoom {zoom} show the ground of the target, and at most "
-            f"{LIMITS.basemap_tiles} are fetched: give --ref-zoom {max(1, zoom - 1)} or less, or an --extent"
-        )
-    on_event(Progress("fetching", 0, len(tiles)))
-    failures = _write(service, path, tiles, _fetched(service, tiles, known, on_event))
-    if sum(failures.values()) > FETCHING.most_missing * len(tiles):
-        said = ", ".join(f"{count} are {reason}" for reason, count in failures.most_common())
-        raise InputError(
-            f"{service.name} has too little of the ground of the target at zoom {zoom}: of {len(tiles)} "
-            f"tiles {said}; give a coarser --ref-zoom, such as {max(1, zoom - 2)}, or another map"
-        )
-    return settings
+    return find_service(name, _read_text)
+
+
+def _whole(service: Service) -> RasterInfo:
+    """Return a service as a raster, at its first zoom."""
+    return RasterInfo(service.name, 1, 4, service.first, True, "uint8", None, None)
 
 
 def _write(
@@ -142,10 +194,10 @@ def _write(
     return failures
 
 
-def _part(service: Service, inputs: Inputs) -> tuple[int, Window, Settings]:
-    """Return the zoom and the pixels that are needed, and the settings of the match with them."""
-    whole = RasterInfo(service.name, 1, 4, service.first, True, "uint8", None, None)
-    info, settings, target = inputs.target_beside(whole), inputs.settings, inputs.target
+def _part(
+    service: Service, info: RasterInfo, target: str, settings: Settings
+) -> tuple[int, Window, Settings]:
+    """Return the zoom and the pixels that a target needs, and the settings of the match with them."""
     extent = settings.extent
     if not info.georeferenced and extent is None:
         raise InputError(

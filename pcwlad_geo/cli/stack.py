@@ -28,7 +28,8 @@ ImageArguments = Annotated[
     list[str] | None,
     o.argument(
         "IMAGE…",
-        "Rasters, products or STAC items; a folder of rasters; a table (CSV) with a column image. "
+        "Rasters, products or STAC items; a folder of rasters; a table (CSV) with a column image; a web map "
+        "(with --allow-remote). "
         "With --add: the output folder of the stack.",
     ),
 ]
@@ -54,8 +55,9 @@ ReferenceName = Annotated[
     str | None,
     o.option(
         "--reference",
-        help="Image whose grid all get; with RPCs, what ties them to the ground.  [default: the first]",
-        metavar="NAME|FILE",
+        help="Image whose grid all get, or a web map; with RPCs, what ties them to the ground.  [default: "
+        "the web map, or the first]",
+        metavar="NAME|FILE|MAP",
     ),
 ]
 Datum = Annotated[

@@ -16,6 +16,7 @@ import pcwlad_geo
 from pcwlad_geo.basemaps import fetching
 from pcwlad_geo.basemaps.services import find_service
 from pcwlad_geo.cli.app import run
+from pcwlad_geo.errors import TrustError
 from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.job import match_files
 from pcwlad_geo.options import Settings
@@ -158,17 +159,44 @@ def test_the_error_on_a_web_map_is_proved(
     assert "secret" not in Path("proof/proof.json").read_text(encoding="utf-8")
 
 
-def test_a_stack_takes_what_was_fetched(files: tuple[Path, Path, Path], server: MapServer) -> None:
+def test_a_stack_is_on_a_web_map(files: tuple[Path, Path, Path], server: MapServer) -> None:
     other_px = np.array([-1.6, 2.2])
     other = write(Path("other.tif"), render(TARGET, "red", displacement_px=other_px), TARGET)
-    options: Any = {**SMALL, "allow_remote": True}
-    with pytest.raises(pcwlad_geo.InputError, match=r"a web map, which a stack does not fetch.*basemap\.tif"):
-        pcwlad_geo.stack([files[1], other], reference=server.xyz, out_dir="stack", **options)
-    assert not server.asked
-    match_files(server.xyz, files[1], out_dir="map", allow_remote=True, **QUICK)
-    result = pcwlad_geo.stack([files[1], other], reference="map/basemap.tif", out_dir="stack", **SMALL)
-    shifts_px = [image.shift_px for image in result.images if image.name != "basemap"]
-    np.testing.assert_allclose(shifts_px, [SHIFT_PX, other_px], atol=0.15)
+    options: Any = {**SMALL, "out_dir": "stack", "allow_remote": True}
+    result = pcwlad_geo.stack([server.xyz, files[1], other], **options)
+    assert (result.datum, result.images[-1].name) == ("basemap", "basemap")
+    shifts_px = [image.shift_px for image in result.images]
+    np.testing.assert_allclose(shifts_px[:2], [SHIFT_PX, other_px], atol=0.15)
+    assert [warning.count("relative to the basemap") for warning in result.warnings].count(1) == 1
+    assert max(server.asked.values()) == 1
+    with rasterio.open("stack/photo_registered.tif") as file, rasterio.open("stack/basemap.tif") as basemap:
+        assert (file.crs, file.transform) == (basemap.crs, basemap.transform)
+    asked = server.asked.copy()
+    again = pcwlad_geo.stack([files[1], other], reference=server.xyz, **options)
+    assert server.asked == asked
+    assert [image.shift_px for image in again.images] == shifts_px
+
+
+def test_a_web_map_of_a_stack_that_cannot_be_had(files: tuple[Path, Path, Path], server: MapServer) -> None:
+    other = write(Path("other.tif"), render(TARGET, "red"), TARGET)
+    with pytest.raises(TrustError, match="--allow-remote"):
+        pcwlad_geo.stack([server.xyz, files[1], other], out_dir="stack", **SMALL)
+    options: Any = {**SMALL, "out_dir": "stack", "allow_remote": True}
+    with pytest.raises(pcwlad_geo.InputError, match=r"plain has no geotransform.*--place"):
+        pcwlad_geo.stack([server.xyz, files[1], files[2]], **options)
+    with pytest.raises(pcwlad_geo.InputError, match="are two web maps"):
+        pcwlad_geo.stack([server.xyz, "xyz:http://b/{z}/{x}/{y}.png", files[1], other], **options)
+    server.trouble = "refused"
+    with pytest.raises(pcwlad_geo.InputError, match="it refuses this program"):
+        pcwlad_geo.stack([server.xyz, files[1], other], **options)
+    assert not Path("stack").exists()
+    server.trouble = ""
+    Path("stack").mkdir()
+    own = write(Path("stack/basemap.tif"), np.ones((9, 9), np.uint8), TARGET)
+    before = own.read_bytes()
+    with pytest.raises(pcwlad_geo.OutputError, match=r"basemap\.tif"):
+        pcwlad_geo.stack([server.xyz, files[1], other], **options)
+    assert own.read_bytes() == before
 
 
 def test_where_to_look_must_be_said_for_a_photo(files: tuple[Path, Path, Path], server: MapServer) -> None:

@@ -12,7 +12,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-from pcwlad_geo.basemaps.services import is_service
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Warned
 from pcwlad_geo.limits import LIMITS, check_count
@@ -143,13 +142,8 @@ def with_reference(
 ) -> tuple[Sequence[PathLike], str | None]:
     """Return the images and the name of the reference, which may be named by its file, and is added then.
 
-    Raises `InputError` as `listed` does, and if the reference is a web map.
+    Raises `InputError` as `listed` does.
     """
-    if reference is not None and is_service(reference):
-        raise InputError(
-            f"{reference.partition('?')[0]} is a web map, which a stack does not fetch: register one image "
-            "to it (pcwlad-geo register MAP IMAGE -o OUT), and give --reference OUT/basemap.tif"
-        )
     if reference is None or not os.path.isfile(reference):  # noqa: PTH113
         return images, reference
     for image_input in listed(images, band):

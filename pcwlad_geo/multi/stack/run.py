@@ -45,6 +45,7 @@ from pcwlad_geo.multi.stack.result import Chosen, Stack
 from pcwlad_geo.multi.stack.rpc_images import has_rpcs, place_images
 from pcwlad_geo.multi.stack.rpc_run import stack_of_rpcs
 from pcwlad_geo.multi.stack.search import stac_images
+from pcwlad_geo.multi.stack.web_map import Named, with_web_map
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
 from pcwlad_geo.raster import trusting
@@ -84,9 +85,9 @@ def stack(
     Parameters
     ----------
     images : sequence of path
-        Rasters or products; folders, of which all rasters are taken; STAC items; tables (CSV) with a column
-        `image`, paths relative to their folder, and if known `name`, `band`, `mask`, `date`,
-        `sun_elevation` and `cloud`. Names, without folder and extension, must differ.
+        Rasters or products; a web map, named as for `register`; folders, of which all rasters are taken; STAC
+        items; tables (CSV) with a column `image`, paths relative to their folder, and if known `name`,
+        `band`, `mask`, `date`, `sun_elevation` and `cloud`. Names, without folder and extension, must differ.
     stac : path or URL, optional
         More images: a file with a collection of STAC items, or a search of a STAC API,
         ``https://API/search?collections=…&bbox=…&datetime=…`` (needs `allow_remote` and pystac-client).
@@ -95,8 +96,9 @@ def stack(
     band : int or str
         Number of the band that is matched, or its name in products.
     reference : str, optional
-        Name or file of the image whose grid is the frame; the first by default. Of images with RPCs, what
-        fixes them: an image on the map, or one of them that stays; by default their mean stays.
+        Name or file of the image whose grid is the frame, or a web map; by default the web map among the
+        images, or the first of them. Of images with RPCs, what fixes them: an image on the map, or one of
+        them that stays; by default their mean stays.
     datum : {"reference", "mean"}
         What stays: the reference, or the mean position of all images.
     pairs : path, optional
@@ -137,9 +139,13 @@ def stack(
         raise SettingsError("datum = 'mean' and control points are two datums: give one of them")
     out = OutputFolder(job.folder, overwrite=True, results=STACK_FILE, inputs=images)
     with trusting(job.settings.trust), out:
-        images, reference = with_reference(images, reference, band)
+        named_images = Named.of(images, reference)
+        images, reference = with_reference(named_images.images, named_images.reference, band)
         more = () if stac is None else stac_images(stac, job.settings.ref_band, job.settings.trust)
         inputs, infos, unreadable = readable_images(images, job.settings, job.tell, stac=more)
+        if named_images.web_map is not None:
+            inputs, infos = with_web_map(job, out, named_images.web_map, inputs, infos)
+            reference = reference or inputs[-1].name
         files = [*images, *(file for file in (pairs, gcps) if file is not None)]
         if has_rpcs(infos, job.settings):
             block = place_images(inputs, infos, reference, job.settings, unreadable, job.tell)
