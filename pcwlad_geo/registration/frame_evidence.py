@@ -125,10 +125,12 @@ def _evidence_of(
     middle_px = np.median(displacement_px, axis=0)
     most_px = float(np.quantile(np.hypot(*displacement_px.T), parameters.most))
     unmarked = without_marked(frames, parameters.specks)
-    unspecked = without_specks(unmarked, parameters.specks) if raw else None
     marked = frames._replace(valid=unmarked.valid)
+    is_alike = common_grey(marked) >= parameters.common_grey
+    unspecked = without_specks(unmarked, parameters.specks) if raw and is_alike else None
     near_px = near_rival(marked, middle_px, parameters)
-    near_px = near_px or ground_beside(unspecked or unmarked, displacement_px, parameters)
+    if near_px is None and is_alike:
+        near_px = ground_beside(unspecked or unmarked, displacement_px, parameters)
     on_axis = (np.abs(middle_px) <= parameters.identity_px) & (
         np.quantile(np.abs(displacement_px), parameters.most, axis=0) <= parameters.scatter_px
     )
@@ -139,8 +141,8 @@ def _evidence_of(
         return None
     window, quarter = parameters.window_px, min(frames.one.shape) // 8 * 2 + 1
     window = max(parameters.smallest_window_px, min(quarter, window)) if raw else window
-    share = share_at(middle_px, unmarked, window, parameters)
     if pulled:  # whole columns or rows place the points along one axis alone
+        share = share_at(middle_px, unmarked, window, parameters)
         if share is None or share >= parameters.frame_share:
             return None
         return FrameEvidence(share, None, WITHOUT_LINES, parameters)
@@ -148,13 +150,15 @@ def _evidence_of(
     if rival_px is None and is_of_single_pixels(frames, parameters):
         return FrameEvidence(0.0, None, WITHOUT_PATTERN, parameters)
     exact = bool(on_axis.all()) and most_px <= parameters.scatter_px
-    shares_pattern = exact and common_grey(marked) >= parameters.common_grey
-    if share is None or not (shares_pattern or rival_px):
+    if rival_px is None and not (exact and is_alike):
         return None
-    rest = share_at(middle_px, unspecked, window, parameters) if unspecked and rival_px is None else None
+    share = share_at(middle_px, unmarked, window, parameters)
+    if share is None or rival_px is not None or unspecked is None:
+        return None if share is None else FrameEvidence(share, rival_px, parameters=parameters)
+    rest = share_at(middle_px, unspecked, window, parameters)
     if rest is not None and rest < share:
         return FrameEvidence(rest, None, WITHOUT_SPECKS, parameters)
-    return FrameEvidence(share, rival_px, parameters=parameters)
+    return FrameEvidence(share, None, parameters=parameters)
 
 
 def _middle_of(info: RasterInfo, parameters: FrameParameters, within: Window | None) -> tuple[Float32, Bool]:
