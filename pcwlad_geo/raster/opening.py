@@ -33,7 +33,7 @@ from pcwlad_geo.raster.trust.file_kinds import (
 from pcwlad_geo.raster.trust.local_files import SIDECARS, Place, UntrustedFileError, place_of
 from pcwlad_geo.raster.trust.permissions import current_trust
 from pcwlad_geo.raster.trust.signing import signed
-from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined
+from pcwlad_geo.text import check_regular, check_sidecars, is_uri, joined, part_of_jpeg
 
 TRUST_VRT: Final = "give --trust-vrt if you trust whoever made it with all files that you can read"
 """The advice at the end of messages about rasters that name other files."""
@@ -194,6 +194,8 @@ def _why_not_opened(uri: str, error: Exception) -> str:
             return f"{uri} is not a raster that GDAL can read, or it is damaged: {reason}"
     except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
         pass
+    if part_of_jpeg(uri):
+        return f"{uri} is a part of a JPEG, which only register and match take: give the file that they wrote"
     if is_uri(uri):
         return f"{uri} cannot be opened: {joined(error)}"
     return f"{uri} does not exist: check the path"

@@ -88,7 +88,9 @@ class Scratch:
         """
         place = folder.absolute() / uri.rpartition("/")[2].rpartition(os.sep)[2]
         if place.exists() and not overwrite:
-            raise OutputError(f"{place} exists: give overwrite=True to replace it, or another folder")
+            raise OutputError(
+                f"{place} exists: give overwrite=True (--overwrite) to replace it, or another folder"
+            )
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):

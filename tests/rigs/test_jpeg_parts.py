@@ -98,3 +98,7 @@ def test_a_refused_job_leaves_no_files_of_the_parts(
     assert result.returncode == 2
     assert "shot_visible.tif holds 3 bands" in result.stderr
     assert not (tmp_path / "out_inputs").exists()
+    result = cli_here("warp", "out", f"{path}:thermal")
+    assert result.returncode == 2
+    with pytest.raises(InputError, match="which only register and match take"):
+        pg.open(f"{path}:thermal")
