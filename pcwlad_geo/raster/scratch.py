@@ -60,8 +60,10 @@ class Scratch:
             weakref.finalize(self, _remove, self._folder, os.getpid())
         return self._folder
 
-    def file_of(self, raster: RasterLike, name: str) -> str:
+    def file_of(self, raster: RasterLike, name: str, *, unit: str | None = None) -> str:
         """Return the path or URI of a raster; what is in memory is written to a GeoTIFF of this name.
+
+        Its first band gets the `unit`, if there is one.
 
         Raises `InputError` if it is none of what `RasterLike` lists, or cannot be written.
         """
@@ -73,6 +75,10 @@ class Scratch:
             write_raster(source, path)
         else:
             _copy(source, path)
+        file: Any
+        if unit is not None:
+            with ignoring(NotGeoreferencedWarning), open_own(path, mode="r+") as file:
+                file.set_band_unit(1, unit)
         return path
 
     def holds(self, *uris: str) -> bool:

@@ -11,13 +11,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import rasterio
 from affine import Affine
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.raster.raster import Raster
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.rigs.temperatures import ZERO_C_K, Maker, maker_of, problem_of, temperatures_k, unpacked_flir
@@ -60,12 +57,8 @@ def part_files(rasters: Sequence[object], scratch: Scratch) -> list[object]:
         stem = f"{Path(part.file).stem}_{part.part}"
         name = f"{stem}_{number + 1}" if stem in used else stem
         used.add(name)
-        place = scratch.file_of(Raster(part.pixels, places.get(part.part)), name)
-        if part.part == "thermal":
-            file: Any
-            with ignoring(NotGeoreferencedWarning), rasterio.open(place, "r+") as file:
-                file.set_band_unit(1, "degree_Celsius")
-        files[number] = place
+        unit = "degree_Celsius" if part.part == "thermal" else None
+        files[number] = scratch.file_of(Raster(part.pixels, places.get(part.part)), name, unit=unit)
     return files
 
 
