@@ -160,7 +160,7 @@ class DenseMapping:
     moved_px: Float64
     """(rows, columns, 2) mapped positions (col, row) of the nodes; NaN where the mapping has no value."""
     error_px: float
-    """Largest interpolation error found, px."""
+    """Largest interpolation error; of several places where it is too large, that of the first, px."""
 
     def __call__(self, at_px: Float64) -> Float64:
         """Map (n, 2) positions (col, row) within the box, px."""
@@ -187,16 +187,19 @@ def dense_mapping(
     while True:
         lattice = Lattice.over(low, high, step)
         nodes = in_chunks(mapping, lattice.nodes_px()).reshape(*lattice.shape, 2)
-        error = _largest_error(mapping, lattice, nodes, parameters)
+        error = _largest_error(mapping, lattice, nodes, 0.7 * tolerance_px, parameters)
         if error <= 0.7 * tolerance_px or step <= least:
             return DenseMapping(lattice, nodes, error)
         step = max(step / 2, least)
 
 
 def _largest_error(
-    mapping: Mapping, lattice: Lattice, mapped_px: Float64, parameters: LatticeParameters
+    mapping: Mapping, lattice: Lattice, mapped_px: Float64, enough_px: float, parameters: LatticeParameters
 ) -> float:
-    """Return the largest error in the cells whose corners have a value; 0 where there is no such cell."""
+    """Return the largest error in the cells whose corners have a value, or one of more than `enough_px`.
+
+    It is 0 where there is no such cell.
+    """
     rows, cols = lattice.shape
     finite = np.asarray(np.isfinite(mapped_px).all(axis=2))
     whole = finite[:-1, :-1] & finite[:-1, 1:] & finite[1:, :-1] & finite[1:, 1:]
@@ -206,4 +209,6 @@ def _largest_error(
         at_px = corner + np.array(place) * lattice.step_px
         error = np.abs(in_chunks(mapping, at_px) - lattice.interpolated(mapped_px, at_px))
         largest = max(largest, float(np.nan_to_num(error).max(initial=0.0)))
+        if largest > enough_px:
+            break
     return largest

@@ -16,7 +16,7 @@ from pcwlad_geo.objects.plots import plot_arrows
 from pcwlad_geo.options import PairOptions
 from pcwlad_geo.outputs.folder import place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
-from pcwlad_geo.raster import Grid, RasterInfo, RpcGrid
+from pcwlad_geo.raster import Grid, RasterInfo
 from pcwlad_geo.raster.arrays import RasterLike
 from pcwlad_geo.raster.raster import Raster
 from pcwlad_geo.registration import Matches, Origin, conclude
@@ -200,10 +200,9 @@ class TiePoints(TiePointTable):
                 else f"{place} needs the rasters of the pair, which these points lack: give a .csv or .gpkg"
             )
         pair = self.matches.pair
-        on_map = pair.target.georeferenced and not isinstance(pair.target.grid, RpcGrid)
         write: Any = forms[0].write
         with FORMATS.blamed(forms[0]):
-            write(self, staged, PointRasters(pair.reference, pair.target, on_map, place))
+            write(self, staged, PointRasters(pair.reference, pair.target, pair.target.on_map, place))
 
 
 def _columns(table: TiePointTable) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.outputs.bands import BandOutput, correction_of, orthorectify_band, warp_band
 from pcwlad_geo.outputs.displacement_raster import write_displacement
+from pcwlad_geo.outputs.geolayers import write_lon_lat
 from pcwlad_geo.outputs.geometric_accuracy import GeometricAccuracy
 from pcwlad_geo.outputs.map_raster import write_sigma
 from pcwlad_geo.outputs.pair_item import write_item
@@ -164,7 +165,15 @@ def _annotation(job: Writing, path: Path) -> None:
 
 def _in_geotransform(registration: Registration) -> bool:
     is_affine = isinstance(registration.model, AffineCorrection)
-    return registration.rpc is None and is_affine and registration.target.georeferenced
+    return is_affine and registration.target.on_map
+
+
+def _is_swath(registration: Registration) -> bool:
+    return registration.target.grid.swath_uri is not None
+
+
+def _lon_lat(job: Writing, path: Path) -> None:
+    write_lon_lat(path, correction_of(job.registration), job.registration.target.grid)
 
 
 _ALWAYS: Final = Condition("always", lambda job: True)
@@ -178,6 +187,7 @@ _CORRECTED: Final = Condition("`register`", lambda job: True, corrected=True)
 _SHIFTED: Final = Condition(
     "shift or affine, of a target with georeferencing", _in_geotransform, corrected=True
 )
+_SWATH: Final = Condition("a target with geolocation arrays", _is_swath, corrected=True)
 _IF_PLACED: Final = Condition("with `--write-placed`", lambda job: job.settings.write_placed)
 _FETCHED: Final = Condition(
     "a web map as reference", lambda job: job.fetched is not None and not job.fetched.uri.endswith(".vrt")
@@ -212,6 +222,13 @@ OUTPUTS: Final = (
     ),
     Output(
         "corrected", "{stem}_corrected.vrt", _SHIFTED, "the target with corrected georeferencing", _corrected
+    ),
+    Output(
+        "lon_lat",
+        "{stem}_lonlat.tif",
+        _SWATH,
+        "the corrected longitude and latitude of each pixel of the target",
+        _lon_lat,
     ),
     Output("basemap", "basemap.tif", _FETCHED, "what was fetched of a web map"),
     Output("tiles", "reference.vrt", _TILES, "the tiles of the reference that show ground of the target"),
@@ -270,9 +287,8 @@ def _of_format(form: TiePointFormat) -> Output | None:
         registration = job.registration
         reference, target = registration.reference, registration.target
         target = target.as_in_file()  # as QGIS shows it
-        on_map = target.georeferenced and registration.rpc is None
         with FORMATS.blamed(form):
-            rasters = PointRasters(reference, target, on_map, job.places[form.name])
+            rasters = PointRasters(reference, target, target.on_map, job.places[form.name])
             write(registration.tie_points, path, rasters)
 
     when = _WITH_HEIGHTS if form.needs_heights else _MATCHED

@@ -123,13 +123,14 @@ def write_map(
     *,
     block_px: int,
     tags: Mapping[str, str] | None = None,
+    dtype: str = "float32",
 ) -> None:
-    """Write a float32 COG with NaN for nodata, block by block: the memory does not grow with the raster.
+    """Write a COG of floats with NaN for nodata, block by block: the memory does not grow with the raster.
 
     The `values` compute the bands, described by the `layers`, at the middles of pixels.
     """
     rows, cols = places.grid.shape
-    profile = {"driver": "GTiff", "dtype": "float32", "nodata": np.nan, "count": len(layers)}
+    profile = {"driver": "GTiff", "dtype": dtype, "nodata": np.nan, "count": len(layers)}
     profile |= {"height": rows, "width": cols, "tiled": True, "bigtiff": "IF_SAFER"}
     profile |= {"crs": places.grid.crs, "transform": places.transform}
     with scratch_folder(path) as scratch, small_block_cache():
@@ -141,9 +142,7 @@ def write_map(
                     first = np.stack([across + col, down + row], axis=-1).reshape(-1, 2)
                     centres = first.astype(np.float64) + 0.5
                     block = values(centres).T.reshape(len(layers), *shape)
-                    file.write(
-                        block.astype(np.float32), window=((row, row + shape[0]), (col, col + shape[1]))
-                    )
+                    file.write(block.astype(dtype), window=((row, row + shape[0]), (col, col + shape[1])))
             for band, layer in enumerate(layers, start=1):
                 file.set_band_description(band, layer.description)
                 file.set_band_unit(band, layer.unit)

@@ -15,6 +15,7 @@ from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.limits import check_coordinates, check_gcp_misfit, check_geotransform, check_latitudes
 from pcwlad_geo.raster.crs import WGS84, transform_xy, utm_zone_of
+from pcwlad_geo.raster.geolocation import swath_grid
 from pcwlad_geo.raster.grid import Grid, apply, is_invertible, linear_part
 from pcwlad_geo.types import Float64
 
@@ -34,6 +35,9 @@ def grid_of_file(uri: str, dataset: DatasetReader) -> tuple[Grid, float | None]:
     """Return the grid, and its largest residual in px where it was fitted to control points."""
     if dataset.crs is not None and _has_transform(dataset):
         return Grid(dataset.shape, dataset.transform, dataset.crs), None
+    swath = swath_grid(uri, dataset)
+    if swath is not None:
+        return swath, None
     gcps, crs = dataset.gcps
     # Beside RPCs, control points are the approximate corners of an image (NITF).
     check_coordinates(uri, [value for gcp in gcps for value in (gcp.col, gcp.row, gcp.x, gcp.y)])

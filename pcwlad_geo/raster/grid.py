@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,10 @@ from pcwlad_geo.types import Float64
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+
+PixelMapping = Callable[[Float64], Float64]
+"""A function of (n, 2) pixels (col, row) to others, such as that of a correction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +153,10 @@ class Grid:
         """Whether the pixels have map coordinates: in a CRS, or in a plane shared with another raster."""
         return self.crs is not None or self.transform != Affine.identity()
 
+    def has_plane_of(self, other: Grid) -> bool:
+        """Whether nothing but the geotransforms of this grid and another says where their pixels lie."""
+        return type(self) is Grid and type(other) is Grid and self.crs == other.crs
+
     @property
     def middle_px(self) -> Float64:
         """The middle of the raster as a (1, 2) array (col, row), px."""
@@ -165,6 +174,19 @@ class Grid:
     def to_px(self, xy: Float64) -> Float64:
         """Map (n, 2) map coordinates `xy` (x, y) to (n, 2) pixel coordinates (col, row)."""
         return apply_inverse(self.transform, xy)
+
+    @property
+    def swath_uri(self) -> str | None:
+        """Path or GDAL URI of the raster whose geolocation arrays place the pixels, if any do."""
+        return None
+
+    def observed_px(self, xy: Float64, forward: PixelMapping) -> Float64:
+        """Map (n, 2) map coordinates `xy` to (n, 2) pixels that show them: `forward` of the predicted."""
+        return forward(self.to_px(xy))
+
+    def corrected_xy(self, at_px: Float64, inverse: PixelMapping) -> Float64:
+        """Map (n, 2) pixels `at_px` to the (n, 2) map coordinates they show, by their `inverse`."""
+        return self.to_xy(inverse(at_px))
 
     @property
     def turn(self) -> float:
@@ -287,8 +309,7 @@ def map_px(points_px: Float64, from_grid: Grid, to_grid: Grid) -> Float64:
     transformation exists between the CRSs, or only one grid has a CRS.
     """
     points_px = np.asarray(points_px, dtype=np.float64)
-    plain = type(from_grid) is Grid and type(to_grid) is Grid
-    if plain and from_grid.transform == to_grid.transform and from_grid.crs == to_grid.crs:
+    if from_grid.has_plane_of(to_grid) and from_grid.transform == to_grid.transform:
         return points_px
     xy = transform_xy(from_grid.to_xy(points_px), from_grid.crs, to_grid.crs)
     return to_grid.to_px(to_grid.in_turn(xy))

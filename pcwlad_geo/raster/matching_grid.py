@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_pixel_ratio
 from pcwlad_geo.raster.crs import displacement_m, name_of, transformation_warnings
-from pcwlad_geo.raster.grid import Grid, TiltedGrid, Window, jacobian, linear_part, map_px
+from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.overlap import bounds_of, common_ground, extent_text, shown_by, window_of
 from pcwlad_geo.raster.source import RasterInfo, check_part, is_huge
 from pcwlad_geo.raster.view import View, ViewResampling, file_px_per_px
@@ -335,8 +335,8 @@ def _resampled(finer: RasterInfo, coarser: Grid, box: Window) -> View:
 
 def _axis_scale(from_grid: Grid, to_grid: Grid, common: shapely.Geometry) -> Float64 | None:
     """Return (2,) signed px of a grid per px of another along columns and rows; None for other axes."""
-    tilted = isinstance(from_grid, TiltedGrid) or isinstance(to_grid, TiltedGrid)
-    if tilted or not _same_coordinates(from_grid, to_grid, common):
+    plain = from_grid.has_plane_of(to_grid) or (type(from_grid) is Grid and type(to_grid) is Grid)
+    if not plain or not _same_coordinates(from_grid, to_grid, common):
         return None
     matrix = inverse(linear_part(to_grid.transform)) @ linear_part(from_grid.transform)
     left, top, right, bottom = common.bounds

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.limits import check_grid, check_output_pixel
-from pcwlad_geo.raster.crs import in_turn, name_of, to_pyproj, transform_xy
+from pcwlad_geo.raster.crs import WGS84, in_turn, name_of, to_pyproj, transform_xy
 from pcwlad_geo.raster.grid import Grid, jacobian, linear_part, map_px
 from pcwlad_geo.raster.overlap import Box, bounds_of, footprint, shown_by
 from pcwlad_geo.types import Float64
@@ -102,7 +102,7 @@ def _own_size(lattice: Grid, raster: Grid, reference_size: Float64 | None) -> Fl
 def _size_elsewhere(lattice: Grid, target: Grid, reference_size: Float64 | None) -> Float64:
     """Return the (2,) pixel size of a target in another CRS, or on rotated axes."""
     across, swapped = _steps_across(lattice, target)
-    if _same_unit(lattice, target):
+    if type(target) is Grid and _same_unit(lattice, target):
         nominal = _lengths(target)[:: -1 if swapped else 1]
         square = abs(nominal[0] / nominal[1] - 1.0) <= OUTPUT_GRIDS.same
         if (square or not _turned(lattice, target)) and np.all(
@@ -232,8 +232,11 @@ def output_grids(
         if fixed.located and target_grid.located:
             _check_pixel(fixed, target_grid)
         return [fixed] * len(rasters)
-    if request.mode == "target":
+    on_map = all(type(grid) is Grid for grid in rasters)
+    if request.mode == "target" and on_map:
         return list(rasters)
+    if request.mode == "target":  # a swath has no grid of its own
+        request = replace(request, crs=request.crs or WGS84)
     if not (reference_grid.located and target_grid.located):
         return [reference_grid] * len(rasters)
     lattice = output_lattice(reference_grid, request)
@@ -351,7 +354,7 @@ def original_pixels(
         xy = transform_xy(grid.to_xy(at_px), grid.crs, target_grid.crs)
         xy = in_turn(xy, about, turn)
         xy = np.where(np.abs(xy[:, :1] - about) <= OUTPUT_GRIDS.part_of_turn * turn, xy, np.nan)
-        observed_px = correction.forward(target_grid.to_px(xy))
+        observed_px = target_grid.observed_px(xy, correction.forward)
         return observed_px if own_grid == target_grid else own_grid.to_px(target_grid.to_xy(observed_px))
 
     return mapping

@@ -114,7 +114,7 @@ class Raster(Shown):
             What the file is removed with.
         """
         raster = cls.__new__(cls)
-        grid = info.grid if info.georeferenced and isinstance(info.grid, Grid) else None
+        grid = info.grid if info.on_map else None
         raster._array, raster._info, raster._whole = None, info, whole
         raster.transform = grid.transform if grid else info.plane_transform
         raster.crs = grid.crs if grid else None

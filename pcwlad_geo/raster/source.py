@@ -100,6 +100,11 @@ class RasterInfo:
     several: Bands | None = None
     """The bands, where there are several, with their weights, see `combined_bands.with_bands`."""
 
+    @property
+    def on_map(self) -> bool:
+        """Whether other programs show the raster in map coordinates, by a geotransform."""
+        return self.georeferenced and type(self.grid) is Grid
+
     def as_in_file(self) -> RasterInfo:
         """Return the raster as its file places it, or not, where the user has placed it."""
         return describe(self.uri, band=self.band, part=True) if self.grid.by_hand else self
@@ -281,6 +286,12 @@ def _brightness_of(dataset: DatasetReader, band: int) -> bytes | None:
 
 
 def _check_mask(info: RasterInfo, mask: RasterInfo) -> None:
+    on_map = info.on_map or not info.georeferenced, mask.on_map or not mask.georeferenced
+    if on_map[0] != on_map[1] and mask.georeferenced and info.georeferenced:
+        raise InputError(
+            f"of {info.uri} and its mask {mask.uri} one lies on a map and the other is a swath: give a mask "
+            "on the pixels of the raster"
+        )
     if info.georeferenced and mask.georeferenced:
         transformation_warnings(info.grid.crs, mask.grid.crs)  # raises where none exists
     elif not mask_on_pixels(info, mask.grid):

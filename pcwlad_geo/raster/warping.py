@@ -261,7 +261,8 @@ def _views(
 ) -> list[OpenView]:
     """Return what opens the warped raster, or parts of it; the grids are those of source, target, output."""
     uri, target = source.name, grids[1]
-    if isinstance(correction, AffineCorrection) and _in_one_turn(grids, correction):
+    plain = all(type(grid) is Grid for grid in grids)
+    if plain and isinstance(correction, AffineCorrection) and _in_one_turn(grids, correction):
         options = _affine_options(source, grids, correction, method) | request.options()
         return [lambda: _warped(uri, options)]
     paths = [_dense_view(source, grids, correction, method, request, turns) for turns in mapped_parts(target)]
@@ -325,9 +326,10 @@ def _write_vrt(
         raise InputError(
             f"a VRT cannot hold a {correction.name} correction: give --model affine, or --of COG or GTiff"
         )
-    if not _in_one_turn(grids, correction):
+    if not (all(type(grid) is Grid for grid in grids) and _in_one_turn(grids, correction)):
         raise InputError(
-            "a VRT cannot hold a raster whose longitudes are not the output's: give --of COG or GTiff"
+            "a VRT cannot hold a swath, or a raster whose longitudes are not the output's: give --of COG or "
+            "GTiff"
         )
     with open_raster(os.fspath(source_path)) as source:
         method = Resampling.nearest if is_paletted(source) else Resampling[resampling]

@@ -230,8 +230,11 @@ def check_output(inputs: Inputs) -> None:
     ref, tgt, *_ = place_pair(ref, tgt, settings)
     ground = ground_grid(ref.grid)
     check_placed(request, {ref.uri: ref.georeferenced, tgt.uri: tgt.georeferenced}, ground)
-    if fmt.is_vrt and isinstance(tgt.grid, RpcGrid):
-        raise SettingsError("of = 'VRT': a VRT cannot hold the correction of an RPC; give --of COG or GTiff")
+    if fmt.is_vrt and (isinstance(tgt.grid, RpcGrid) or tgt.grid.swath_uri):
+        raise SettingsError(
+            "of = 'VRT': a VRT cannot hold the correction of an RPC or of geolocation arrays; give --of COG "
+            "or GTiff"
+        )
     check_near(request, ground, tgt.grid)
     check_format(fmt, tgt.uri, request.fixed(ground) or (tgt.grid if request.mode == "target" else ground))
 

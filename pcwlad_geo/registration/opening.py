@@ -111,8 +111,13 @@ def _described(
 
 def _check_outputs(settings: Settings, ref: RasterInfo, tgt: RasterInfo, *, has_rpc: bool) -> None:
     """Raise `InputError` if an output that is asked for is not defined for a pair."""
-    if settings.write_proj_grid and (tgt.grid.crs is None or has_rpc):
-        what = "no CRS" if tgt.grid.crs is None else "RPCs, whose correction depends on the height"
+    if ref.grid.swath_uri and not ref.grid.has_plane_of(tgt.grid):
+        raise InputError(
+            f"{ref.uri} is a swath, which geolocation arrays place, and a reference must be on a map grid: "
+            "warp it first (gdalwarp -geoloc)"
+        )
+    if settings.write_proj_grid and not (tgt.on_map and tgt.grid.crs is not None):
+        what = "RPCs, whose correction depends on the height" if has_rpc else "no CRS and geotransform"
         raise InputError(f"the target has {what}: leave out --write-proj-grid")
     if settings.write_stac and ref.grid.crs is None:
         raise InputError(

@@ -64,6 +64,8 @@ class GridEntry:
     transform: tuple[float, float, float, float, float, float]
     """Geotransform a, b, c, d, e, f: x = a·col + b·row + c, y = d·col + e·row + f."""
     crs: str | None
+    swath: str | None = field(default=None, kw_only=True)
+    """The raster whose geolocation arrays place a swath, which no geotransform does; null for any other."""
 
 
 @dataclass(frozen=True, slots=True)

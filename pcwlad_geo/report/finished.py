@@ -18,7 +18,16 @@ from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
 from pcwlad_geo.options import RUNNING, OutputGrid, Resampling, Settings
-from pcwlad_geo.raster import Dem, FileIdentity, Grid, GridRequest, OutputFormat, is_folder, trusting
+from pcwlad_geo.raster import (
+    Dem,
+    FileIdentity,
+    Grid,
+    GridRequest,
+    OutputFormat,
+    describe,
+    is_folder,
+    trusting,
+)
 from pcwlad_geo.raster.grid import is_invertible, linear_part
 from pcwlad_geo.raster.identity import same
 from pcwlad_geo.raster.rpc.planning import ground_grid
@@ -198,7 +207,7 @@ def output_of(registration: FinishedRegistration) -> OutputEntry:
 def grid_entry(grid: Grid) -> GridEntry:
     """Return a grid as JSON files have it."""
     crs = None if grid.crs is None else grid.crs.to_wkt()
-    return GridEntry(grid.shape, tuple(grid.transform)[:6], crs)
+    return GridEntry(grid.shape, tuple(grid.transform)[:6], crs, swath=grid.swath_uri)
 
 
 def finished(registration: Registration) -> FinishedRegistration:
@@ -355,4 +364,9 @@ def _grid(path: Path, raster: GridEntry) -> Grid:
         raise ValueError(f"a raster of {cols} x {rows} pixels, or a geotransform without an inverse")
     check_shape(str(path), (rows, cols), 1)
     check_geotransform(str(path), raster.transform, (rows, cols))
+    if raster.swath is not None:
+        grid = describe(raster.swath, part=True).grid
+        if grid.shape == (rows, cols):
+            return grid
+        raise ValueError(f"{raster.swath} has another size now")
     return Grid((rows, cols), place, None if raster.crs is None else CRS.from_string(raster.crs))

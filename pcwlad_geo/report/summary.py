@@ -124,7 +124,7 @@ def _group(
 def _grid(grid: Grid) -> GridEntry:
     a, b, col_off, d, e, row_off = (float(value) for value in grid.transform[:6])
     crs = grid.crs.to_string() if grid.crs and not isinstance(grid, RpcGrid) else None
-    return GridEntry(grid.shape, (a, b, col_off, d, e, row_off), crs)
+    return GridEntry(grid.shape, (a, b, col_off, d, e, row_off), crs, swath=grid.swath_uri)
 
 
 def reference_entry(info: RasterInfo) -> ReferenceEntry:

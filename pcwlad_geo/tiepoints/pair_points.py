@@ -107,8 +107,7 @@ def _readings(points: PointFile, side: Literal["reference", "target"], info: Ras
     # A source with an RPC has no layer coordinates.
     info = info.as_in_file()
     plane = points.target * [1.0, -1.0]
-    on_map = info.georeferenced and not isinstance(info.grid, RpcGrid)
-    return [info.grid.to_px(points.target), plane] if on_map else [plane]
+    return [info.grid.to_px(points.target), plane] if info.on_map else [plane]
 
 
 def _from_map(points: PointFile, info: RasterInfo) -> Float64:

@@ -12,7 +12,7 @@ _SCHEME: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
 _ARCHIVE_SCHEMES: Final = frozenset(["zip", "tar", "gzip"])
 _SUBDATASET: Final = re.compile(
     r'(?:NETCDF|HDF5|GTIFF_DIR:\d+|NITF_IM:\d+):(?:"(?P<quoted>[^"]+)"|(?P<plain>(?:[A-Za-z]:)?[^:]+))(?::.*)?',
-    re.DOTALL,
+    re.DOTALL | re.IGNORECASE,
 )
 _HDF5_ARRAY: Final = re.compile(
     r'HDF5:(?:"(?P<quoted>[^"]+)"|(?P<plain>(?:[A-Za-z]:)?[^:"]+))://[^:]*', re.IGNORECASE | re.DOTALL
