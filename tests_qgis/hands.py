@@ -195,6 +195,7 @@ def unplaced(dock: Any) -> Iterator[int]:
     dock.tabs.setCurrentIndex(1)
     editor = dock.editor
     yield from editable(dock)
+    seen["the small map has a CRS"] = editor.view.mapSettings().destinationCrs().isValid()
     canvas = iface.mapCanvas()
     editor.select(5)
     yield 1500

@@ -15,7 +15,7 @@ from ..model.results import FrameLayer, PointLayer
 from ..process.points import Points
 from ..text import tr
 from .live import LiveLayer
-from .pair_maps import Pair, PairMaps
+from .pair_maps import Pair, PairMaps, map_crs
 from .points_table import PointsModel, SortedPoints
 from .session import Session
 
@@ -73,8 +73,7 @@ class PointEditor(QtWidgets.QWidget):
         self.table.verticalHeader().hide()
         self.table.verticalHeader().setDefaultSectionSize(22)
         self.table.selectionModel().selectionChanged.connect(self._selected)
-        if self._target.crs().isValid():
-            self.view.setDestinationCrs(self._target.crs())
+        self.view.setDestinationCrs(map_crs(self._target))
         self.view.setLayers([(self._frame or self.layer).layer, self._target])
         self.told.setMinimumHeight(2 * self.told.fontMetrics().lineSpacing())  # the table stays where it is
         self.view.setExtent(self._target.extent())

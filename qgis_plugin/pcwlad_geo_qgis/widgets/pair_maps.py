@@ -17,6 +17,14 @@ Pair = Sequence[core.QgsRasterLayer]
 Shape = Union[core.QgsPointXY, core.QgsRectangle]
 
 
+def map_crs(layer: core.QgsRasterLayer) -> core.QgsCoordinateReferenceSystem:
+    """Return a CRS for a map of a layer alone: its own, or one in which a layer without is drawn as it is.
+
+    QGIS may crash in a map whose own CRS is invalid.
+    """
+    return layer.crs() if layer.crs().isValid() else core.QgsCoordinateReferenceSystem("EPSG:3857")
+
+
 class PairMaps:
     """Where the reference, the target and the main map (`map`) show a place.
 

@@ -10,6 +10,7 @@ from qgis.PyQt import QtCore, QtGui
 
 from ..model.placed import PlacedLayer
 from ..process.placement import Affine, Place, after, apply, corners_of, moved, turned
+from .pair_maps import map_crs
 
 PICTURE_PX = 1600
 """The longer side of the picture that is moved."""
@@ -51,7 +52,7 @@ class Ghost(gui.QgsMapCanvasItem):
         step = max(extent.width(), extent.height()) / PICTURE_PX
         step = max(step, min(layer.rasterUnitsPerPixelX(), layer.rasterUnitsPerPixelY()))
         width, height = (max(1, round(side / step)) for side in (extent.width(), extent.height()))
-        settings.setDestinationCrs(layer.crs())
+        settings.setDestinationCrs(map_crs(layer))
         settings.setLayers([layer])
         settings.setExtent(extent)
         settings.setOutputSize(QtCore.QSize(width, height))
