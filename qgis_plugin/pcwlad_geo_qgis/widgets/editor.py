@@ -70,6 +70,7 @@ class PointEditor(QtWidgets.QWidget):
         self.table.setModel(self.sorted)
         self.table.sortByColumn(self.model.residual_column, QtCore.Qt.SortOrder.DescendingOrder)
         self.table.horizontalHeader().moveSection(self.model.residual_column, 2)  # in sight
+        self.table.horizontalHeader().setResizeContentsPrecision(0)  # by the rows that are seen
         self.table.verticalHeader().hide()
         self.table.verticalHeader().setDefaultSectionSize(22)
         self.table.selectionModel().selectionChanged.connect(self._selected)
@@ -122,12 +123,11 @@ class PointEditor(QtWidgets.QWidget):
         shifted = bool(event.modifiers() & QtCore.Qt.KeyboardModifier.ShiftModifier)
         if control:
             return {QtCore.Qt.Key.Key_Z: self.redo if shifted else self.undo}.get(key)
-        keys = {
+        return {
             QtCore.Qt.Key.Key_Delete: self.delete,
             QtCore.Qt.Key.Key_Space: self.toggle,
             QtCore.Qt.Key.Key_Escape: self.rest,
-        }
-        return keys.get(key)
+        }.get(key)
 
     def eventFilter(self, watched: QtCore.QObject, event: QtCore.QEvent) -> bool:
         kinds = QtCore.QEvent.Type.ShortcutOverride, QtCore.QEvent.Type.KeyPress
@@ -279,9 +279,8 @@ class PointEditor(QtWidgets.QWidget):
     def _take_contradicting(self, answer: dict[str, object]) -> None:
         """Select the points that the others contradict."""
         self.improve_button.setEnabled(True)
-        self._changed(
-            True, tr(IMPROVED).format(sum(self._improved), len(self._improved), len(answer["rows"]))
-        )
+        counts = sum(self._improved), len(self._improved), len(answer["rows"])
+        self._changed(True, tr(IMPROVED).format(*counts))
         self.table.clearSelection()
         both = QtCore.QItemSelectionModel.SelectionFlag.Select | QtCore.QItemSelectionModel.SelectionFlag.Rows
         for point in answer["rows"]:
@@ -345,9 +344,8 @@ class PointEditor(QtWidgets.QWidget):
         unit, here = self.maps.unit(which), core.QgsGeometry.fromPointXY(place)
         with suppress(core.QgsCsException):
             canvas.setExtent(self.maps.moved(here.boundingBox().buffered(ZOOM_PX * unit), which, crs))
-            self._marks[which].setToGeometry(
-                here.buffer(self.radius.value() * unit, 16), self.maps.crs(which)
-            )
+            ring = here.buffer(self.radius.value() * unit, 16)
+            self._marks[which].setToGeometry(ring, self.maps.crs(which))
         canvas.refresh()
 
     def draw_rectangle(self) -> None:

@@ -12,6 +12,9 @@ from ..help import COLUMNS
 from ..process.points import Points
 from ..text import tr
 
+ROLES = Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.UserRole, Qt.ItemDataRole.TextAlignmentRole
+"""What is asked of a cell that depends on what it holds; of a long table that is asked often."""
+
 
 class PointsModel(QAbstractTableModel):
     """Shows the points; a click on a box asks to switch one."""
@@ -43,7 +46,7 @@ class PointsModel(QAbstractTableModel):
         row, column = index.row(), index.column()
         if column == 0 and role == Qt.ItemDataRole.CheckStateRole:
             return Qt.CheckState.Unchecked if row in self._points.off else Qt.CheckState.Checked
-        value = self.value(row, column)
+        value = self.value(row, column) if role in ROLES else None
         if role == Qt.ItemDataRole.DisplayRole and column:
             if not isinstance(value, float):
                 return value
@@ -63,11 +66,10 @@ class PointsModel(QAbstractTableModel):
     def value(self, row: int, column: int) -> object:
         """Return what a cell holds."""
         point = self._points.points[row]
-        source = self._source_of(row)
-        places = (source.x(), source.y(), point.x, point.y)
-        sizes = (*point.residual_px, point.length_px, point.sigma_px)
+        own = self._source_of(row) if column in (2, 3) else QgsPointXY()
+        cells = (own.x(), own.y(), point.x, point.y, *point.residual_px, point.length_px, point.sigma_px)
         on = row not in self._points.off
-        return (on, point.number, *places, *sizes, tr("on") if on else tr("off"))[column]
+        return (on, point.number, *cells, tr("on") if on else tr("off"))[column]
 
     def refresh(self) -> None:
         """Show the points as they are now."""
