@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-from qgis.core import QgsProject, QgsRasterLayer
+from qgis.core import QgsProject, QgsRasterLayer, QgsRectangle
 from qgis.PyQt.QtCore import QTimer
 from qgis.utils import iface, plugins
 from steps import JOB, begin, go, grab, opened, seen
@@ -25,6 +25,9 @@ def steps() -> Iterator[int]:
     iface.zoomToActiveLayer()
     yield 2000
     seen["preset"] = dock.reference.currentText()
+    dock.tabs.setCurrentWidget(dock.place)
+    seen["heading"] = dock.place.heading.text()
+    dock.tabs.setCurrentIndex(0)
     grab(window, "basemap_before")
     beats: list[tuple[float, str]] = []
     pulse = QTimer()
@@ -36,11 +39,18 @@ def steps() -> Iterator[int]:
         if "Drawing" in dock.footer.stage.text() and "stage" not in seen:
             seen["stage"] = dock.footer.stage.text()
             grab(window, "basemap_drawing")
+            iface.mapCanvas().setExtent(QgsRectangle(-2e7, -2e7, 2e7, 2e7))
         yield 100
     pulse.stop()
     drawing = [moment for moment, stage in beats if "Drawing" in stage]
     seen["longest_ms"] = 1000 * max(b - a for a, b in zip(drawing, drawing[1:]))  # noqa: RUF007  # Python 3.9
     yield 2500
+    seen["seen"] = iface.mapCanvas().extent().width()
+    dock.tabs.setCurrentIndex(2)
+    dock.red_cyan_button.click()
+    yield 2500
+    seen["red and cyan"] = dock.views.composite._curtain is not None
+    dock.tabs.setCurrentIndex(0)
     seen["verdict"] = dock.footer.verdict.text()
     seen["layers"] = sorted(each.name() for each in QgsProject.instance().mapLayers().values())
     grab(window, "basemap_after")

@@ -170,6 +170,9 @@ def test_the_dock_takes_what_the_map_shows(
         keep_pictures(tmp_path, Path(PICTURES))
     assert seen["error"] == ""
     assert seen["preset"] == "What the map shows"
+    assert "on <b>What the map shows</b>" in seen["heading"]
+    assert seen["seen"] < 100_000  # not the whole world any more, on which the result is a dot
+    assert seen["red and cyan"] is True  # the web map is the reference there too
     assert "relative to the basemap Luftbild (" in seen["verdict"]
     assert seen["verdict"].count("relative to the basemap") == 1
     assert seen["longest_ms"] < 300

@@ -73,13 +73,14 @@ def test_another_engine_is_offered(seen: dict[str, Any]) -> None:
 
 def test_the_engine_is_installed_from_the_dock_by_one_click(seen: dict[str, Any], profile: Path) -> None:
     assert seen["installing"] == [False, True]
-    assert seen["installed"]["verdict"].startswith(
-        '<b style="color: #116329">✔ The engine is installed: pcwlad-geo 0.1.0'
-    )
+    installed, aligned = seen["installed"]["said"][:2]
+    assert installed == "The engine is installed: pcwlad-geo 0.1.0"
+    assert aligned.startswith("The engine ended")  # it only says its version
     assert seen["installed"]["offered"] is False
     assert seen["percent"] > 5
-    assert seen["stages"][-2:] == ["Making the virtual environment", "Downloading and installing"]
-    assert "The engine is installed" in seen["from a wheel"]
+    stages = ["Making the virtual environment", "Downloading and installing", "Starting the engine"]
+    assert seen["stages"][-3:] == stages
+    assert '<b style="color: #116329">✔ The engine is installed' in seen["from a wheel"]
     assert seen["cancelled"] == "Cancelled; nothing was written."
     engines = [each for each in profile.rglob("pcwlad_geo_engine*") if each.is_dir()]
     assert len(engines) == 1  # that of the wheel, and nothing of what was cancelled

@@ -65,10 +65,13 @@ def install(dock: Any) -> Iterator[int]:
     yield from ended(dock)
     seen["failed"] = {"verdict": dock.verdict.text(), "offered": dock.index_button.isVisible()}
     os.environ["PIP_FIND_LINKS"] = JOB["index"]
+    said, tell = [], dock.footer.tell
+    dock.footer.tell = lambda message, *how, **more: (said.append(message), tell(message, *how, **more))
     dock.index_button.click()
     seen["installing"] = [dock.start_button.isEnabled(), dock.cancel_button.isEnabled()]
     yield from ended(dock)
-    seen["installed"] = {"verdict": dock.verdict.text(), "offered": dock.index_button.isVisible()}
+    yield from ended(dock)  # what “Align” was pressed for goes on
+    seen["installed"] = {"said": said, "offered": dock.index_button.isVisible()}
     seen["percent"], seen["stages"] = max(percent), list(stages)
     grab(dock, "installed")
     dock.install({"WHEEL": JOB["wheel"], "PYTHON": JOB["python"]})

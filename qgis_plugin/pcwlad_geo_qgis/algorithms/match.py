@@ -65,9 +65,8 @@ class ProvePair(PairAlgorithm):
         self.add_matching()
         self.add(core.QgsProcessingParameterFeatureSink, "OUTPUT_ERRORS", optional=True)
         self.add_folder(optional=False)
-        self.add_results(
-            core.QgsProcessingOutputNumber, "BIAS_COL", "BIAS_ROW", "RMSE", "CE90", "FALSE_MATCHES"
-        )
+        figures = "BIAS_COL", "BIAS_ROW", "RMSE", "CE90", "FALSE_MATCHES"
+        self.add_results(core.QgsProcessingOutputNumber, *figures)
 
     def process(self, parameters: Values, context: Context, feedback: Feedback) -> Values:
         pair = self.pair_options(parameters, context)

@@ -41,11 +41,8 @@ WORLD_M = 2 * math.pi * 6378137.0
 
 def must_be_drawn(layer: core.QgsMapLayer | None) -> bool:
     """Return whether the engine cannot read a layer, but QGIS can draw it."""
-    return (
-        layer is not None
-        and layer.isValid()
-        and (not isinstance(layer, core.QgsRasterLayer) or bool(problem_of(layer)))
-    )
+    unread = not isinstance(layer, core.QgsRasterLayer) or bool(problem_of(layer))
+    return layer is not None and layer.isValid() and unread
 
 
 def shown_layers(without: Collection[core.QgsMapLayer] = ()) -> list[core.QgsMapLayer]:
@@ -99,9 +96,8 @@ class Drawing:
         margin = self.px * (MARGIN_PX + (radius_px or RADIUS_PX))
         self.box.grow(margin if self.is_placed else 0.0)
         # on the pixels of tiles, so that these are not interpolated
-        low, high = (
-            math.floor((v + WORLD_M / 2) / self.px) for v in (self.box.xMinimum(), self.box.yMinimum())
-        )
+        corner = self.box.xMinimum(), self.box.yMinimum()
+        low, high = (math.floor((place + WORLD_M / 2) / self.px) for place in corner)
         self.box.setXMinimum(low * self.px - WORLD_M / 2)
         self.box.setYMinimum(high * self.px - WORLD_M / 2)
         self.columns = math.ceil(self.box.width() / self.px)

@@ -27,11 +27,8 @@ def problem_of(layer: QgsMapLayer) -> str:
     if isinstance(layer, QgsVectorLayer):
         plain = layer.providerType() == "ogr" and Path(path_of(layer)).is_file()
         as_it_is = not layer.isModified() and not layer.subsetString()
-        return (
-            ""
-            if plain and as_it_is and layer.crs() == layer.dataProvider().crs()
-            else tr(NO_VECTOR).format(name)
-        )
+        known = plain and as_it_is and layer.crs() == layer.dataProvider().crs()
+        return "" if known else tr(NO_VECTOR).format(name)
     if layer.providerType() != "gdal":
         return tr(NO_FILE).format(name, layer.providerType())
     source = layer.source()

@@ -156,9 +156,8 @@ def renderer_of(layer: core.QgsVectorLayer, factor: float | None = None) -> core
 
 def symbol_of(colour: str, vector: str = "", factor: float = 0.0) -> core.QgsMarkerSymbol:
     """Return a dot, with an arrow for a vector where there is a factor."""
-    symbol = core.QgsMarkerSymbol.createSimple(
-        {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.3"}
-    )
+    dot = {"name": "circle", "color": colour, "outline_color": "white", "outline_width": "0.2", "size": "1.3"}
+    symbol = core.QgsMarkerSymbol.createSimple(dot)
     if not factor:
         return symbol
     sizes = {"arrow_width": "0.4", "arrow_start_width": "0.4", "head_length": "1.2", "head_thickness": "0.8"}
@@ -168,9 +167,8 @@ def symbol_of(colour: str, vector: str = "", factor: float = 0.0) -> core.QgsMar
     line.changeSymbolLayer(0, arrow)  # hands the arrow over, which a list in the constructor does not
     # A generator and not a vector field: that one makes the legend wider than the panel.
     head = f'translate($geometry, {float(factor)!r} * "{vector}_x", {float(factor)!r} * "{vector}_y")'
-    arrows = core.QgsGeometryGeneratorSymbolLayer.create(
-        {"SymbolType": "Line", "geometryModifier": f"make_line($geometry, {head})"}
-    )
+    drawn = {"SymbolType": "Line", "geometryModifier": f"make_line($geometry, {head})"}
+    arrows = core.QgsGeometryGeneratorSymbolLayer.create(drawn)
     arrows.setSubSymbol(line)
     symbol.appendSymbolLayer(arrows)
     return symbol

@@ -10,7 +10,7 @@ from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui, QtWidgets, uic
 
 from ..algorithms.base import temporary_folder
-from ..help import DRAWN, MORE_LAYERS, NEEDS_TRUST, OTHER_BANDS, THE_MAP
+from ..help import DRAWN, INSTALL_ONE, MORE_LAYERS, NEEDS_TRUST, OTHER_BANDS, THE_MAP
 from ..model import settings
 from ..model.drawn import shown_layers, shows_a_web_map
 from ..model.heat import heat_map
@@ -27,7 +27,7 @@ from .footer import Footer
 from .place_page import PlacePage
 from .runner import Job, Runner
 from .session import Session
-from .views import Views
+from .views import Views, bring_into_view
 
 NAMES = ("register", "apply", "applyvectors", "installengine")
 REGISTER, APPLY, MOVE, INSTALL = (f"pcwlad_geo:{name}" for name in NAMES)
@@ -54,6 +54,9 @@ class AlignDock(gui.QgsDockWidget):
         self._runner, self.choices = Runner(self), Choices(self._canvas)
         self._trusted: set[str] = set()
         self._untrusted: list[Job] = []
+        self._refused: Job | None = None
+        self._wanted: list[Job] = []
+        """What an engine was missing for."""
         self.editor: PointEditor | None = None
         self.layers: dict[str, core.QgsMapLayer] = {}
         self.swipe = SwipeTool(self._canvas)
@@ -165,9 +168,8 @@ class AlignDock(gui.QgsDockWidget):
         reference, target = self.reference.currentLayer(), self.place.layer
         if target is None or (reference is None and not self._takes_the_map()) or reference == target:
             self.footer.clear()
-            self.footer.tell(
-                tr("Choose the layer and another one as its reference on the page “Align” first.")
-            )
+            text = tr("Choose the layer and another one as its reference on the page “Align” first.")
+            self.footer.tell(text)
             return
         crs = reference.crs() if reference else core.QgsProject.instance().crs()
         where = ",".join(map(repr, self.place.ghost.placement.geotransform(crs)))
@@ -208,6 +210,7 @@ class AlignDock(gui.QgsDockWidget):
             self._forget()
         problem = next(filter(None, (each.problem() for each in jobs)), "")
         if problem:
+            self._wanted = jobs if tr(INSTALL_ONE) in problem else []
             self.footer.tell(problem)
         elif self._runner.begin(jobs):
             self.engine_box.setVisible(jobs[0].algorithm == INSTALL)
@@ -215,6 +218,7 @@ class AlignDock(gui.QgsDockWidget):
 
     def _forget(self) -> None:
         """Offer no correction of before for other bands: it is of another pair."""
+        self._wanted = []
         self.apply_box.hide()
         for name in ("OTHERS", "DRAWN"):
             self.choices.set(name, None)
@@ -236,8 +240,7 @@ class AlignDock(gui.QgsDockWidget):
     def trust(self) -> None:
         """Do again what has failed for want of trust in files."""
         jobs = self._untrusted
-        for job in jobs:
-            self._trusted |= _sources(job)
+        self._trusted |= set().union(*map(_sources, jobs))
         self._begin([self._sure(each) for each in jobs])
 
     def _choose_points(self, then: Callable[[str], None]) -> None:
@@ -255,6 +258,7 @@ class AlignDock(gui.QgsDockWidget):
         self.engine_box.hide()
         text = tr("The engine is installed: pcwlad-geo {}").format(results["VERSION"])
         self.footer.tell(text, grade="good", more=results["WARNINGS"])
+        QtCore.QTimer.singleShot(0, lambda: self._wanted and self._begin(self._wanted))
 
     def install(self, source: dict[str, str]) -> None:
         """Install the engine: from the package index, or from a wheel or folder."""
@@ -363,15 +367,16 @@ class AlignDock(gui.QgsDockWidget):
         if self.tabs.currentWidget() is self.place:
             self.tabs.setCurrentIndex(ALIGN)  # it lies where it belongs
         self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
+        shown = job.parameters.get("SHOWN") or self._pair[:1]
         if drawn := results.get("DRAWN"):
-            names = [each.name() for each in job.parameters.get("SHOWN") or self._pair[:1]]
+            names = [each.name() for each in shown]
             self._pair[0] = core.QgsRasterLayer(drawn, names[0] if len(names) == 1 else tr(THE_MAP))
         self._folder, paths, target = Path(results["OUTPUT_FOLDER"]), results["PATHS"], self._pair[1]
         raster = results.get("GEOREFERENCED") or paths["raster"]
         name = tr("{} aligned").format(target.name())
         self.layers, self._group = show_results(raster, paths["geopackage"], target, name)
         for layer in core.QgsProject.instance().mapLayers().values():
-            for role, copy in zip(("reference", "before"), self._pair):
+            for role, copy in zip(("reference", "before"), (shown[-1], self._pair[1])):  # the ground
                 if layer.source() == copy.source():
                     self.layers[role] = layer
         verdict = f"{job.name}: {results['VERDICT']}" if job.name else results["VERDICT"]
@@ -382,6 +387,7 @@ class AlignDock(gui.QgsDockWidget):
         self.apply_title.setText(tr("Correct as “{}”:").format(target.name()))
         self.apply_box.show()
         self._bridge.setCanvasLayers()
+        bring_into_view(self._canvas, self.layers["after"])
 
     def _open_editor(self) -> None:
         trusted = bool({each.source() for each in self._pair} & self._trusted)
@@ -420,7 +426,7 @@ class AlignDock(gui.QgsDockWidget):
             self._stop_comparing()
         if self.editor is not None and page != POINTS:
             self.editor.rest()
-        pair = self.target.currentLayer(), self.reference.currentLayer()
+        pair = self.target.currentLayer(), self.reference.currentText()
         self.place.begin(*pair) if self.tabs.currentWidget() is self.place else self.place.end()
         self.views.active = page == COMPARE
         self._bridge.setCanvasLayers()
@@ -511,5 +517,4 @@ class AlignDock(gui.QgsDockWidget):
 
 def _sources(job: Job) -> set[str]:
     """Return the sources of the rasters that a job reads."""
-    given = job.parameters.values()
-    return {each.source() for each in given if isinstance(each, core.QgsRasterLayer)}
+    return {each.source() for each in job.parameters.values() if isinstance(each, core.QgsRasterLayer)}

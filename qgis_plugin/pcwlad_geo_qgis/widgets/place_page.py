@@ -51,11 +51,11 @@ class PlacePage(QtWidgets.QWidget):
         """The layer that is placed now."""
         return self.ghost and self.ghost.placement.layer
 
-    def begin(self, layer: core.QgsRasterLayer | None, reference: core.QgsMapLayer | None = None) -> None:
-        """Show a layer over the map, where it was put before, and take the mouse."""
+    def begin(self, layer: core.QgsRasterLayer | None, reference: str = "") -> None:
+        """Show a layer over the map, where it was put before, and take the mouse; the reference is named."""
         self.end()
         problem = tr("Choose the layer on the page “Align” first.") if layer is None else problem_of(layer)
-        names = [escape(each.name() if each else "…") for each in (layer, reference)]
+        names = [escape(name or "…") for name in (layer and layer.name(), reference)]
         self.heading.setText(problem or tr("Put <b>{}</b> where it belongs on <b>{}</b>.").format(*names))
         self.setEnabled(not problem)
         if not problem:

@@ -10,6 +10,16 @@ from qgis.PyQt import QtCore, QtWidgets
 
 from .composite import Composite
 
+LEAST_SHARE = 0.002
+"""A layer that takes less of the map's area is not seen."""
+
+
+def bring_into_view(canvas: gui.QgsMapCanvas, layer: core.QgsMapLayer) -> None:
+    """Show a layer, where the map shows other ground, or so much that the layer is a dot."""
+    seen, box = canvas.extent(), canvas.mapSettings().layerExtentToOutputExtent(layer, layer.extent())
+    if not seen.intersects(box) or box.area() < LEAST_SHARE * seen.area():
+        canvas.zoomToFeatureExtent(box)  # with a margin
+
 
 class Views(QtCore.QObject):
     """Buttons of ways to look, of which one is on at most, and the key that shows the reference alone."""
