@@ -146,7 +146,7 @@ def _evidence_of(
         if share is None or share >= parameters.frame_share:
             return None
         return FrameEvidence(share, None, WITHOUT_LINES, parameters)
-    rival_px = rival(unmarked, parameters) or near_px
+    rival_px = near_px or rival(unmarked, parameters)
     if rival_px is None and is_of_single_pixels(frames, parameters):
         return FrameEvidence(0.0, None, WITHOUT_PATTERN, parameters)
     exact = bool(on_axis.all()) and most_px <= parameters.scatter_px

@@ -19,7 +19,7 @@ from pcwlad_geo.types import Bool, Float32, Float64
 class FrameParameters:
     """How the ground is told from what belongs to the frame."""
 
-    identity_px: float = 0.06
+    identity_px: float = 0.1
     """Largest median distance of tie points from the same pixel of the other file, per axis."""
     scatter_px: float = 0.3
     """Distance within which most of them lie there: what stands still agrees far better than bands do."""
