@@ -103,19 +103,25 @@ def frame_evidence(
     if rpc or reference.grid.shape != target.grid.shape or len(reference_px) == 0:
         return None
     displacement_px = target_px - reference_px
-    middle_px = np.abs(np.median(displacement_px, axis=0))
-    beyond = middle_px.max() > parameters.rival_min_px and middle_px.min() > parameters.identity_px
-    if beyond or middle_px.max() > min(reference.grid.shape) / 4:
+    middle_px = np.median(displacement_px, axis=0)
+    raw = not (reference.georeferenced or target.georeferenced)  # others are no frames of a camera
+    distant = np.abs(middle_px).max() > min(reference.grid.shape) / 4
+    if distant or (_is_beyond(middle_px, parameters) and not raw):
         return None
     with suppress(InputError):
         (one, valid_in_one), (other, valid_in_other) = (
             _middle_of(info, parameters, within) for info in (reference, target)
         )
-        raw = not (reference.georeferenced or target.georeferenced)  # others are no frames of a camera
         return _evidence_of(
             displacement_px, Frames(one, other, valid_in_one & valid_in_other), raw, parameters
         )
     return None
+
+
+def _is_beyond(middle_px: Float64, parameters: FrameParameters) -> bool:
+    """Return whether points at (2,) `middle_px` lie farther off than what stands still draws them."""
+    size_px = np.abs(middle_px)
+    return bool(size_px.max() > parameters.rival_min_px and size_px.min() > parameters.identity_px)
 
 
 def _evidence_of(
@@ -128,7 +134,7 @@ def _evidence_of(
     marked = frames._replace(valid=unmarked.valid)
     is_alike = common_grey(marked) >= parameters.common_grey
     unspecked = without_specks(unmarked, parameters.specks) if raw and is_alike else None
-    near_px = near_rival(marked, middle_px, parameters)
+    near_px = None if _is_beyond(middle_px, parameters) else near_rival(marked, middle_px, parameters)
     if near_px is None and is_alike:
         near_px = ground_beside(unspecked or unmarked, displacement_px, parameters)
     on_axis = (np.abs(middle_px) <= parameters.identity_px) & (

@@ -95,7 +95,7 @@ class FrameParameters:
     """Least peak of the ground's phase correlation, its standard deviations: 70 and more of ground drawn by
     stripes, at most 17 of bands in place."""
     beside_ratio: float = 1.5
-    """Least ratio of this peak to the value at the points, where it lies more than a pixel from them."""
+    """Least ratio of this peak to the value at the points, where they lie beyond the width of the peak."""
     specks: SpeckParameters = field(default_factory=SpeckParameters)
     """Those of specks."""
 
@@ -219,12 +219,14 @@ def ground_beside(
     rows, cols = frames.one.shape
     crossed = _phases(frames, parameters)
     surface, reach = np.fft.ifft2(crossed).real, parameters.reach_px
-    window = np.roll(surface, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    middle_px = np.median(displacement_px, axis=0)
+    first_col, first_row = (np.rint(middle_px).astype(int) - reach).tolist()
+    window = np.roll(surface, (-first_row, -first_col), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
     row, col = np.unravel_index(int(window.argmax()), window.shape)
     if window[row, col] < parameters.beside_z * surface.std():
         return None
     fine = np.linspace(-1, 1, parameters.beside_steps)
-    down, right = int(row) - reach + fine, int(col) - reach + fine
+    down, right = int(row) + first_row + fine, int(col) + first_col + fine
 
     def at(down_px: Float64, right_px: Float64) -> Float64:
         """Return the surface between pixels."""
@@ -234,19 +236,16 @@ def ground_beside(
         ]
         return np.asarray((waves[0] @ crossed @ waves[1].T).real)
 
-    peaks, middle_px = at(down, right), np.median(displacement_px, axis=0)
+    peaks = at(down, right)
     best = np.unravel_index(int(peaks.argmax()), peaks.shape)
     ground_px = np.array([right[best[1]], down[best[0]]])
     beside_px = float(np.hypot(*(ground_px - middle_px)))
     scatter_px = float(np.quantile(np.hypot(*(displacement_px - middle_px).T), parameters.most))
     at_points = abs(float(at(middle_px[1:], middle_px[:1])[0, 0]))
-    is_same_peak = beside_px > 1 and peaks.max() < parameters.beside_ratio * at_points
+    is_other_peak = beside_px > parameters.finest_px and peaks.max() < parameters.beside_ratio * at_points
     is_pattern = np.hypot(*ground_px) < parameters.pulled_px  # a sensor's, which stands still itself
-    if (
-        is_pattern
-        or is_same_peak
-        or beside_px < max(parameters.beside_px, parameters.beside_scatter * scatter_px)
-    ):
+    least_px = max(parameters.beside_px, parameters.beside_scatter * scatter_px)
+    if is_pattern or is_other_peak or beside_px < least_px:
         return None
     return float(ground_px[0]), float(ground_px[1])
 

@@ -18,7 +18,7 @@ from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.raster import ViewPair, Window, file_px_per_px
 from pcwlad_geo.registration.decision import Decision, with_doubts
 from pcwlad_geo.registration.edge_sides import shared_errors
-from pcwlad_geo.registration.frame_evidence import frame_evidence
+from pcwlad_geo.registration.frame_evidence import FrameEvidence, frame_evidence
 from pcwlad_geo.registration.match_record import record_ground
 from pcwlad_geo.registration.motions import Motion, describe_motions
 from pcwlad_geo.registration.point_file import UNKNOWN_ORIGIN, user_points
@@ -99,23 +99,15 @@ def _with_frame_evidence(
 
     Points of a file are only doubted.
     """
-    pair, points = matches.pair, matches.tie_points.select("matched")
-    evidence = None
-    if matches.accepted:
-        within = None
-        if pair.settings.extent is not None and len(points):  # nothing beyond it is read
-            low_px, high_px = points.reference_px.min(axis=0), points.reference_px.max(axis=0)
-            within = Window.around(low_px, high_px).padded(parameters.context_px)
-        evidence = frame_evidence(
-            pair.reference, pair.target, points.reference_px, points.target_px, within=within
-        )
+    pair, evidence = matches.pair, _frame_evidence(matches, parameters)
     if evidence is None or evidence.doubt is None:
         return matches
     from_file = pair.settings.tie_points is not None
     if evidence.ground_px is not None and not from_file and pair.reference.grid == pair.target.grid:
         ground = _by_matching(pair, log, runner, parameters, evidence.ground_px)
         ground = _without_clusters(ground, log, parameters)
-        if ground.accepted:
+        of_ground = _frame_evidence(ground, parameters)
+        if ground.accepted and not (of_ground and of_ground.is_frame):
             col, row = evidence.ground_px
             log.warn(
                 "what stands still in both frames agrees at no displacement; the ground was found about "
@@ -126,6 +118,17 @@ def _with_frame_evidence(
         return replace(matches, decision=matches.decision.refused(evidence.doubt))
     log.warn(evidence.doubt)
     return replace(matches, decision=with_doubts(matches.decision, Doubt("poor", evidence.doubt)))
+
+
+def _frame_evidence(matches: Matches, parameters: PairParameters) -> FrameEvidence | None:
+    """Return what speaks for the ground of accepted matches; None if nothing is to be asked."""
+    if not matches.accepted:
+        return None
+    pair, points, within = matches.pair, matches.tie_points.select("matched"), None
+    if pair.settings.extent is not None and len(points):  # nothing beyond it is read
+        low_px, high_px = points.reference_px.min(axis=0), points.reference_px.max(axis=0)
+        within = Window.around(low_px, high_px).padded(parameters.context_px)
+    return frame_evidence(pair.reference, pair.target, points.reference_px, points.target_px, within=within)
 
 
 def _with_positions(matches: Matches) -> Matches:
