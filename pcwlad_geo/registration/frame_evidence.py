@@ -135,7 +135,7 @@ def _evidence_of(
     is_alike = common_grey(marked) >= parameters.common_grey
     unspecked = without_specks(unmarked, parameters.specks) if raw and is_alike else None
     near_px = None if _is_beyond(middle_px, parameters) else near_rival(marked, middle_px, parameters)
-    if near_px is None and is_alike:
+    if near_px is None and raw and is_alike:  # ground that is bent, or moves in part, is no frame's
         near_px = ground_beside(unspecked or unmarked, displacement_px, parameters)
     on_axis = (np.abs(middle_px) <= parameters.identity_px) & (
         np.quantile(np.abs(displacement_px), parameters.most, axis=0) <= parameters.scatter_px

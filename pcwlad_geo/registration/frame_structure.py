@@ -221,7 +221,7 @@ def ground_beside(
     surface, reach = np.fft.ifft2(crossed).real, parameters.reach_px
     middle_px = np.median(displacement_px, axis=0)
     first_col, first_row = (np.rint(middle_px).astype(int) - reach).tolist()
-    window = np.roll(surface, (-first_row, -first_col), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    window = np.roll(np.abs(surface), (-first_row, -first_col), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
     row, col = np.unravel_index(int(window.argmax()), window.shape)
     if window[row, col] < parameters.beside_z * surface.std():
         return None
@@ -229,19 +229,19 @@ def ground_beside(
     down, right = int(row) + first_row + fine, int(col) + first_col + fine
 
     def at(down_px: Float64, right_px: Float64) -> Float64:
-        """Return the surface between pixels."""
+        """Return the surface between pixels, whatever its sign: bands may be each other's negative."""
         waves = [
             np.exp(2j * np.pi * np.outer(px, np.fft.fftfreq(side)))
             for px, side in ((down_px, rows), (right_px, cols))
         ]
-        return np.asarray((waves[0] @ crossed @ waves[1].T).real)
+        return np.abs((waves[0] @ crossed @ waves[1].T).real)
 
     peaks = at(down, right)
     best = np.unravel_index(int(peaks.argmax()), peaks.shape)
     ground_px = np.array([right[best[1]], down[best[0]]])
     beside_px = float(np.hypot(*(ground_px - middle_px)))
     scatter_px = float(np.quantile(np.hypot(*(displacement_px - middle_px).T), parameters.most))
-    at_points = abs(float(at(middle_px[1:], middle_px[:1])[0, 0]))
+    at_points = float(at(middle_px[1:], middle_px[:1])[0, 0])
     is_other_peak = beside_px > parameters.finest_px and peaks.max() < parameters.beside_ratio * at_points
     is_pattern = np.hypot(*ground_px) < parameters.pulled_px  # a sensor's, which stands still itself
     least_px = max(parameters.beside_px, parameters.beside_scatter * scatter_px)
