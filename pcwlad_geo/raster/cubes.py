@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from xml.sax.saxutils import escape
 
-import numpy as np
 import rasterio
 from rasterio.crs import CRS
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.trust.local_files import OnDisk, Stamp
-from pcwlad_geo.types import Float64
 
 if TYPE_CHECKING:
     import h5py
@@ -39,8 +37,6 @@ class CubeParameters:
 
     pixel_m: float = 30.0
     """Pixel size of PRISMA L2D, by which corners of the image are told from centres of its pixels."""
-    points_across: int = 15
-    """Number of ground control points along rows and along columns."""
     gdal: tuple[int, int] = (3, 9)
     """The first version of GDAL that reads slices of arrays in a VRT; earlier ones give empty bands."""
     fill: float = -9999.0
@@ -117,7 +113,7 @@ def _vrt(path: str, array: str, _: Stamp) -> str | None:
         place = (
             _geotransform(file, (rows, cols))
             if prisma and prisma["level"] == "2D"
-            else _control_points(*_geolocation(file, array, prisma is not None))
+            else _geolocation(file, path, array, prisma is not None)
         )
     nodata = 0 if prisma else CUBES.fill
     source = (
@@ -145,28 +141,17 @@ def _geotransform(file: Any, shape: tuple[int, int]) -> str:  # noqa: ANN401  # 
     return f"<SRS>{escape(crs.to_wkt())}</SRS><GeoTransform>{x!r},{px!r},0,{y!r},0,{py!r}</GeoTransform>"
 
 
-def _geolocation(file: Any, array: str, is_prisma: bool) -> tuple[Float64, Float64]:  # noqa: ANN401
-    """Return the longitudes and latitudes of all pixels."""
+def _geolocation(file: Any, path: str, array: str, is_prisma: bool) -> str:  # noqa: ANN401
+    """Return the metadata that name the longitudes and latitudes of all pixels, as GDAL has them."""
     if not is_prisma:
         group, names = file["location"], ("lon", "lat")
     else:
         group = file[array.partition("/Data Fields")[0] + "/Geolocation Fields"]
         ending = f"_{array[-9:-5]}" if f"Longitude_{array[-9:-5]}" in group else ""
         names = (f"Longitude{ending}", f"Latitude{ending}")
-    lon, lat = (np.asarray(group[name][()], np.float64) for name in names)
-    if lon.shape != lat.shape or lon.ndim != 2:
+    if group[names[0]].shape != group[names[1]].shape or group[names[0]].ndim != 2:
         raise ValueError(f"{names[0]} has another shape than {names[1]}")
-    return lon, lat
-
-
-def _control_points(lon: Float64, lat: Float64) -> str:
-    """Return the list of ground control points at pixels spread over an image."""
-    rows, cols = (np.linspace(0, size - 1, CUBES.points_across).astype(int).tolist() for size in lon.shape)
-    places = [(row, col, float(lon[row, col]), float(lat[row, col])) for row in rows for col in cols]
-    points = "".join(
-        f'<GCP Id="" Pixel="{col + 0.5}" Line="{row + 0.5}" X="{x!r}" Y="{y!r}"/>'
-        for row, col, x, y in places
-        if abs(y) <= 90 and abs(x) <= 360 and (x or y)
-    )
-    wkt = escape(CRS.from_epsg(4326).to_wkt(), {'"': "&quot;"})
-    return f'<GCPList Projection="{wkt}" dataAxisToSRSAxisMapping="2,1">{points}</GCPList>'
+    x, y = (array_uri(Path(path).absolute(), group[name].name) for name in names)
+    tags = {"X_DATASET": x, "Y_DATASET": y, "GEOREFERENCING_CONVENTION": "PIXEL_CENTER"}
+    items = "".join(f'<MDI key="{key}">{escape(value)}</MDI>' for key, value in tags.items())
+    return f'<Metadata domain="GEOLOCATION">{items}</Metadata>'

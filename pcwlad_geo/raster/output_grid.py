@@ -227,6 +227,8 @@ def output_grids(
     """
     request = request or GridRequest()
     fixed = request.fixed(reference_grid)
+    if fixed is not None and fixed.swath_uri:
+        raise InputError(f"{fixed.swath_uri} is a swath, and has no grid for an output: give --grid target")
     if fixed is not None:
         check_grid("the output grid", fixed.shape[::-1])
         if fixed.located and target_grid.located:
@@ -264,7 +266,8 @@ def output_lattice(reference: Grid, request: GridRequest) -> Grid:
     It has the corner and the axes of the reference. It is north up if a pixel size or an extent is
     requested, as for gdalwarp, and starts at the origin of the CRS if that is not the reference's.
     """
-    crs, place = request.crs or reference.crs, reference.transform
+    own = WGS84 if reference.swath_uri else reference.crs
+    crs, place = request.crs or own, reference.transform
     rows, cols = np.ceil(np.multiply(reference.shape, _lengths(reference)[::-1])).astype(int).tolist()
     if crs != reference.crs:
         return Grid(reference.shape, Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0), crs)

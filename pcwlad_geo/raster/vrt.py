@@ -153,10 +153,14 @@ def describe_file(path: str | Path, final_path: Path) -> ET.Element:
     with open_raster(os.fspath(path)) as source:
         if (cube := as_vrt(source.name)) is not None:
             tree = ET.fromstring(cube)
-            for placed in [element for element in tree if element.tag in _PLACING]:
+            for placed in [element for element in tree if _places(element)]:
                 tree.remove(placed)
             return tree
         return describe_pixels(source, reference_to(source, final_path), source.shape)
+
+
+def _places(element: ET.Element) -> bool:
+    return element.tag in _PLACING or element.get("domain") == "GEOLOCATION"
 
 
 def describe_pixels(source: DatasetReader, pixels: PixelFile, shape: tuple[int, int]) -> ET.Element:

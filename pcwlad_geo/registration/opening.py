@@ -111,11 +111,13 @@ def _described(
 
 def _check_outputs(settings: Settings, ref: RasterInfo, tgt: RasterInfo, *, has_rpc: bool) -> None:
     """Raise `InputError` if an output that is asked for is not defined for a pair."""
-    if ref.grid.swath_uri and not ref.grid.has_plane_of(tgt.grid):
+    if ref.grid.swath_uri and not tgt.grid.swath_uri:
         raise InputError(
             f"{ref.uri} is a swath, which geolocation arrays place, and a reference must be on a map grid: "
             "warp it first (gdalwarp -geoloc)"
         )
+    if ref.grid.swath_uri and settings.write_displacement:
+        raise InputError(f"{ref.uri} is a swath, on which no raster lies: leave out --write-displacement")
     if settings.write_proj_grid and not (tgt.on_map and tgt.grid.crs is not None):
         what = "RPCs, whose correction depends on the height" if has_rpc else "no CRS and geotransform"
         raise InputError(f"the target has {what}: leave out --write-proj-grid")
