@@ -32,10 +32,13 @@ def square(at: int, colour: str = "#ffffff") -> QImage:
     return image
 
 
-def test_what_agrees_is_grey_and_what_does_not_red_or_cyan() -> None:
-    from pcwlad_geo_qgis.widgets.composite import red_cyan
+def test_what_agrees_is_grey_and_what_does_not_red_or_cyan(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pcwlad_geo_qgis.widgets import composite
 
-    made = red_cyan(square(70), square(60))
+    asked, levels = [], composite._levels
+    monkeypatch.setattr(composite, "_levels", lambda *given: asked.append(given) or levels(*given))
+    made = composite.red_cyan(square(70), square(60))
+    assert len(asked) == 2  # it takes longer than all the rest
 
     def at(place: int) -> tuple[int, int, int]:
         pixel = made.pixel(place, place)

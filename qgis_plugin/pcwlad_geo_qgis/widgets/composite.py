@@ -79,7 +79,8 @@ def red_cyan(image: QtGui.QImage, reference: QtGui.QImage) -> QtGui.QImage:
     painter.setCompositionMode(QtGui.QPainter.CompositionMode.CompositionMode_Plus)
     for part, red in ((image, False), (reference, True)):
         grey = _grey(part)
-        tones = [_ramp(value, *_levels(grey, *RANGE)) if value else 0 for value in range(256)]
+        levels = _levels(grey, *RANGE)
+        tones = [_ramp(value, *levels) if value else 0 for value in range(256)]
         colours = [QtGui.qRgb(tone, 0, 0) if red else QtGui.qRgb(0, tone, tone) for tone in tones]
         painter.drawImage(0, 0, _coloured(grey, colours))
     painter.end()
