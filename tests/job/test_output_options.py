@@ -82,7 +82,8 @@ def test_like_gives_exactly_that_grid_to_all_and_is_remembered(make: Make) -> No
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     jsonschema.validate(report, json.loads(SCHEMA.read_text(encoding="utf-8")))
     assert report["output_grid"] == {
-        "shape": list(wanted.shape), "transform": list(wanted.transform)[:6], "crs": "EPSG:3035",
+        "shape": list(wanted.shape), "transform": list(wanted.transform)[:6],
+        "crs": "EPSG:3035", "swath": None,
     }  # fmt: skip
     like.unlink()
     (again,) = warp(folder, ["b10.tif"])
