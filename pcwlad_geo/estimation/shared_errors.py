@@ -100,12 +100,13 @@ def probes_of(xy_px: Float64, parameters: SharedErrorParameters = SHARED_ERRORS)
 
 
 def random_signs(xy_px: Float64, count: int, step_px: float = 1e-3) -> Float64:
-    """Return (n, `count`) random signs, each row by its own of the (n, 2) positions `xy_px` alone.
+    """Return (n, `count`) random signs, each row by its own of the (n, 2) positions `xy_px`.
 
-    A point more or less changes no other's signs, so that a fit does not jump. They are bits of a hash
-    (splitmix64) of the position in steps of `step_px`.
+    A point more or less changes no other's signs, but for one at the edge, so that a fit does not jump. They
+    are bits of a hash (splitmix64) of the position from the corner of all, in steps of `step_px`: the origin
+    of the image does not matter.
     """
-    steps = np.rint(xy_px / step_px).astype(np.int64).view(np.uint64)
+    steps = np.rint((xy_px - xy_px.min(axis=0, initial=np.inf)) / step_px).astype(np.int64).view(np.uint64)
     state = _mixed(_mixed(steps[:, 0]) ^ steps[:, 1])
     words = [_mixed(state + np.uint64(word)) for word in range(-(-count // 64))]
     bits = np.column_stack(words)[:, :, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -70,17 +72,19 @@ def test_without_knowing_the_windows_shared_errors_pass_for_detail() -> None:
     assert deluded.freedom > 100
 
 
-def test_a_point_less_bends_the_spline_nowhere_else() -> None:
-    points = scattered(10, 300)
-    observed = points + waves(10, points, 1.0, 700) + noise(10, 300, 0.1)
-
-    def fitted(count: int) -> Array:
-        part = slice(300 - count, None)
-        fit = fit_tps(points[part], observed[part], isotropic(count, 0.1), footprint_px=81)
-        return fit.correction.forward(points)
-
-    moves = [np.hypot(*(fitted(count) - fitted(count - 1)).T) for count in range(300, 290, -1)]
-    assert max(np.median(move) for move in moves) < 0.002
+def test_a_point_less_hardly_ever_bends_the_spline_elsewhere() -> None:
+    """Once in 30 the smoothing, whose levels are apart by a factor of 2, goes to the next one."""
+    moves_px = []
+    for seed in (10, 11, 12):
+        points = scattered(seed, 300)
+        observed = points + waves(seed, points, 1.0, 700) + noise(seed, 300, 0.1)
+        fits = [
+            fit_tps(points[first:], observed[first:], isotropic(300 - first, 0.1), footprint_px=81)
+            for first in range(11)
+        ]
+        at = [fit.correction.forward(points) for fit in fits]
+        moves_px += [np.median(np.hypot(*(one - other).T)) for one, other in itertools.pairwise(at)]
+    assert sum(move_px > 0.002 for move_px in moves_px) <= 1
 
 
 def test_waves_are_followed_about_as_well_as_can_be() -> None:
