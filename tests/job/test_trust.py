@@ -19,7 +19,7 @@ from tests.cli.process import run_cli
 from tests.hostile_rasters import Server, raw_vrt, serving, vrt
 from tests.scenes import make_grid, render, write
 
-OPTIONS: Any = {"features": 60, "tile_size": 256}
+OPTIONS: Any = {"features": 60, "tile_size": 256, "no_report": True}
 GRID = make_grid((360, 340))  # two tiles
 SHIFT_PX = (1.3, -0.7)
 

@@ -102,7 +102,7 @@ def test_frames_that_no_homography_connects_are_an_error() -> None:
         homographies([few, edge(0, 2)], 3)
 
 
-OPTIONS: Any = {"features": 100, "jobs": 1}
+OPTIONS: Any = {"features": 100, "jobs": 1, "no_report": True}
 SIDE = 300
 
 

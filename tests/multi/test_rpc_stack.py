@@ -24,7 +24,9 @@ from tests.multi.rpc_views import TRUTH_PX, view_rpc, write_views
 from tests.rpc_scene import UNDULATION_M, write_image
 from tests.scenes import make_grid, render, write
 
-OPTIONS: Any = {"features": 80, "window": 41, "template": 61, "jobs": 1, "dem_vertical": UNDULATION_M}
+OPTIONS: Any = {
+    "features": 80, "window": 41, "template": 61, "jobs": 1, "dem_vertical": UNDULATION_M, "no_report": True
+}  # fmt: skip
 SCHEMA = Path(__file__).resolve().parents[2] / "docs" / "stack.schema.json"
 
 

@@ -88,7 +88,15 @@ def test_a_search_is_adjusted_as_a_stack_of_its_images(folder: Path, tmp_path: P
 
 
 def test_an_item_collection_needs_no_server(folder: Path, tmp_path: Path) -> None:
-    stack([], stac=folder / "collection.json", band="red", out_dir=tmp_path / "out", max_pairs=2, **FEW)
+    stack(
+        [],
+        stac=folder / "collection.json",
+        band="red",
+        out_dir=tmp_path / "out",
+        max_pairs=2,
+        no_report=True,
+        **FEW,
+    )
     np.testing.assert_allclose(shifts_of(tmp_path / "out"), SHIFTS_PX, atol=0.06)
 
 

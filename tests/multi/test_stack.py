@@ -28,8 +28,10 @@ from pcwlad_geo.tiepoints.readers import read_point_file
 from tests.scenes import make_grid, render, write
 
 GRID = make_grid((200, 220))
-FEW: Any = {"features": 60, "window": 41, "template": 61, "model": "shift", "jobs": 1}
-FEW_WORDS = tuple(word for name, value in FEW.items() for word in (f"--{name}", str(value)))
+FEW: Any = {"features": 60, "window": 41, "template": 61, "model": "shift", "jobs": 1, "no_report": True}
+FEW_WORDS = tuple(
+    f"--{name}={value}" if name != "no_report" else "--no-report" for name, value in FEW.items()
+)
 SHIFTS_PX = np.array([[0.0, 0.0], [1.7, -2.4], [-0.6, 1.3], [2.2, 0.8]])
 
 
@@ -55,7 +57,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with three images and their stack, in `out put`."""
     folder = tmp_path_factory.mktemp("a stack")
-    stack(write_images(folder), out_dir=folder / "out put", **FEW)
+    stack(write_images(folder), out_dir=folder / "out put", **{**FEW, "no_report": False})
     return folder
 
 

@@ -21,7 +21,7 @@ from tests.scenes import make_grid, render, write
 from tests.stac_rules import check_item
 
 GRID = make_grid((160, 180))
-FAST: Any = {"window": 41, "template": 61, "features": 60, "jobs": 1}
+FAST: Any = {"window": 41, "template": 61, "features": 60, "jobs": 1, "no_report": True}
 DATES = ("2024-04-01", "2024-06-01", "2024-06-17")
 # what other programs say of their own libraries
 quiet = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::PendingDeprecationWarning")

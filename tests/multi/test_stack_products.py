@@ -15,7 +15,7 @@ from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster.masks import accepted
 from tests.product_files import BEFORE_COLLECTIONS, write_landsat
 
-FAST: Any = {"window": 41, "template": 61, "features": 100, "jobs": 1}
+FAST: Any = {"window": 41, "template": 61, "features": 100, "jobs": 1, "no_report": True}
 
 
 def reports(out: Path) -> list[dict[str, Any]]:
@@ -54,7 +54,7 @@ def test_a_product_without_a_band_is_all_that_show_the_ground(scene: Path, tmp_p
 
 def test_one_grid_for_all_where_it_is_asked_for(scene: Path, tmp_path: Path) -> None:
     arguments = ["stack", str(scene), "-o", str(tmp_path / "out"), "--progress", "none"]
-    arguments += ["--window", "41", "--template", "61", "--features", "60", "--jobs", "1"]
+    arguments += ["--window", "41", "--template", "61", "--features", "60", "--jobs", "1", "--no-report"]
     assert run_command([*arguments, "--like", str(scene / "crop_B4.TIF")]) == 0
     with rasterio.open(tmp_path / "out/crop_B8_registered.tif") as file:
         assert file.res == (30.0, 30.0)

@@ -28,7 +28,7 @@ ACROSS = Raster("across", LONLAT, AT, shape=(150, 150))
 FROM_181 = Raster("from -181", LONLAT, AT, shape=(150, 150), turns=-1)
 UTM = Raster("utm", "EPSG:32701", AT, shape=(150, 150))
 MERCATOR = Raster("mercator", "EPSG:3857", AT, shape=(150, 150))
-OPTIONS = {"features": 40, "window": 41, "template": 61, "jobs": 1}
+OPTIONS = {"features": 40, "window": 41, "template": 61, "jobs": 1, "no_report": True}
 
 
 def off_px(reference: Path, target: Path, settings: Settings = SETTINGS) -> np.ndarray:

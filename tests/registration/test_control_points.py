@@ -14,7 +14,7 @@ from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.job import match_files
 from tests.scenes import make_grid, render, write
 
-SMALL = {"template": 61, "window": 41, "features": 100}
+SMALL = {"template": 61, "window": 41, "features": 100, "no_report": True}
 GRID = make_grid((220, 220))
 TURNED = make_grid((200, 210), offset_m=(600, -300), rotation_deg=7)
 SHIFT_PX = (1.6, -2.3)
