@@ -18,6 +18,7 @@ from pcwlad_geo.correction.fitted import (
     Trend,
     centre_and_radius,
     checked,
+    gauss_newton,
 )
 from pcwlad_geo.correction.jitter import fit_jitter
 from pcwlad_geo.correction.models import AffineCorrection, Correction, ProjectiveCorrection
@@ -33,7 +34,6 @@ from pcwlad_geo.estimation.robust import (
     linear,
     reweighted,
 )
-from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.estimation.transforms import ShiftTransform
 from pcwlad_geo.types import Float64
 
@@ -63,14 +63,27 @@ def fit_projective(
     start = np.zeros(8)
     start[:6] = (affine.parameters + radius * np.eye(3, 2, -1)).ravel()
 
-    def solve(whitener: Float64, weight: Float64) -> Solution:
-        root = np.sqrt(weight)[:, None, None] * whitener
-        horizon = _gauss_newton(start, place, observed - centre, root, radius, parameters)
-        fitted = _image(horizon, place, radius) + centre - predicted
-        return Solution(horizon, fitted, 4.0)
+    def jacobian(values: Float64) -> Float64:
+        derivatives = _projective_jacobian(values, place, radius)
+        if not np.isfinite(derivatives).all():
+            raise InputError(
+                "no projective transformation fits the tie points: its horizon would lie among them; use "
+                "another model"
+            )
+        return derivatives
+
+    needs = (
+        "{} consistent tie points lie too nearly on a line to determine the projective model; use a simpler "
+        "model, or more tie points"
+    )
+    solved = partial(gauss_newton, start, partial(_image, place=place, radius_px=radius), jacobian, needs)
+
+    def fitted(whitener: Float64, weight: Float64) -> Solution:
+        values = solved(observed - centre, np.sqrt(weight)[:, None, None] * whitener, parameters)
+        return Solution(values, _image(values, place, radius) + centre - predicted, 4.0)
 
     estimated = reweighted(
-        solve,
+        fitted,
         affine.fitted_px,
         observed - predicted,
         covariance,
@@ -85,35 +98,6 @@ def fit_projective(
         estimate=estimated,
         footprint_px=footprint_px,
     )
-
-
-def _gauss_newton(
-    start: Float64,
-    place: Float64,
-    image_px: Float64,
-    root: Float64,
-    radius_px: float,
-    parameters: FitParameters,
-) -> Float64:
-    """Return the (8,) values of least squares: six of the affine numerator, two of the horizon, px."""
-    values = start
-    for _ in range(parameters.max_steps):
-        rows = (root @ _projective_jacobian(values, place, radius_px)).reshape(-1, 8)
-        residuals = np.einsum("iab,ib->ia", root, image_px - _image(values, place, radius_px)).ravel()
-        if not (np.isfinite(rows).all() and np.isfinite(residuals).all()):
-            raise InputError(
-                "no projective transformation fits the tie points: its horizon would lie among them; use "
-                "another model"
-            )
-        needs = (
-            f"the {np.count_nonzero(root.any(axis=(1, 2)))} consistent tie points lie too nearly on a line "
-            "to determine the projective model; use a simpler model, or more tie points"
-        )
-        step = solve(rows.T @ rows, rows.T @ residuals, needs, least=ROBUST.collinear**2)
-        values = values + step
-        if np.abs(step).max() < parameters.step_px:
-            break
-    return values
 
 
 def _image(values: Float64, place: Float64, radius_px: float) -> Float64:

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from pcwlad_geo.correction.dense import in_chunks
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.estimation.robust import Estimate, estimate
+from pcwlad_geo.estimation.robust import ROBUST, Estimate, estimate
 from pcwlad_geo.estimation.shared_errors import SharedErrors, parameter_covariance
 from pcwlad_geo.estimation.solving import check_observations, solve
 from pcwlad_geo.types import Bool, Float64
@@ -149,6 +149,33 @@ def centre_and_radius(at_px: Float64) -> tuple[Float64, float]:
     """Return the (2,) mean of the (n, 2) `at_px`, and their root mean square distance from it or 1."""
     centre = at_px.mean(axis=0)
     return centre, float(np.sqrt(((at_px - centre) ** 2).sum(axis=1).mean())) or 1.0
+
+
+def gauss_newton(
+    start: Float64,
+    image: Callable[[Float64], Float64],
+    jacobian: Callable[[Float64], Float64],
+    needs: str,
+    observed_px: Float64,
+    root: Float64,
+    parameters: FitParameters,
+) -> Float64:
+    """Return the (p,) values of weighted least squares, by steps from those of the (p,) `start`.
+
+    Of values, `image` gives the (n, 2) places that they expect, px, and `jacobian` the (n, 2, p) derivatives
+    of these. The (n, 2) `observed_px` have weights, whose root is the (n, 2, 2) `root`. `needs` says, of "the
+    n", why points determine no values.
+    """
+    values = start
+    message = needs.format(f"the {np.count_nonzero(root.any(axis=(1, 2)))}")
+    for _ in range(parameters.max_steps):
+        rows = (root @ jacobian(values)).reshape(-1, len(values))
+        residuals = np.einsum("iab,ib->ia", root, observed_px - image(values)).ravel()
+        step = solve(rows.T @ rows, rows.T @ residuals, message, least=ROBUST.collinear**2)
+        values = values + step
+        if np.abs(step).max() < parameters.step_px:
+            break
+    return values
 
 
 class FitFunction(Protocol):

@@ -6,10 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from pcwlad_geo.correction.fitted import FIT, FitParameters, ParametricFit, Trend, checked
+from pcwlad_geo.correction.fitted import FIT, FitParameters, ParametricFit, Trend, checked, gauss_newton
 from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.estimation.robust import ROBUST, Solution, reweighted
-from pcwlad_geo.estimation.solving import solve
 from pcwlad_geo.estimation.transforms import SimilarityTransform
 from pcwlad_geo.types import Float64
 
@@ -39,9 +38,14 @@ def fit_similarity(
     place = (predicted - centre) / radius
     start = _values(SimilarityTransform.fit(place, place + start_px / radius), radius)[:unknowns]
 
+    needs = (
+        "{} consistent tie points lie in one place and determine no rotation; use a shift, or more tie points"
+    )
+    image, jacobian = (partial(function, place=place, radius_px=radius) for function in (_image, _jacobian))
+    solved = partial(gauss_newton, start, image, jacobian, needs)
+
     def fitted(whitener: Float64, weight: Float64) -> Solution:
-        root = np.sqrt(weight)[:, None, None] * whitener
-        values = _gauss_newton(start, place, observed - centre, root, radius, parameters)
+        values = solved(observed - centre, np.sqrt(weight)[:, None, None] * whitener, parameters)
         return Solution(values, _image(values, place, radius) + centre - predicted, unknowns / 2)
 
     estimated = reweighted(
@@ -93,27 +97,3 @@ def _jacobian(values: Float64, place: Float64, radius_px: float) -> Float64:
 
 def _jacobian_px(at_px: Float64, *, values: Float64, centre_px: Float64, radius_px: float) -> Float64:
     return _jacobian(values, (at_px - centre_px) / radius_px, radius_px)
-
-
-def _gauss_newton(
-    start: Float64,
-    place: Float64,
-    image_px: Float64,
-    root: Float64,
-    radius_px: float,
-    parameters: FitParameters,
-) -> Float64:
-    """Return the values of least squares."""
-    values = start
-    needs = (
-        f"the {np.count_nonzero(root.any(axis=(1, 2)))} consistent tie points lie in one place and determine "
-        "no rotation; use a shift, or more tie points"
-    )
-    for _ in range(parameters.max_steps):
-        rows = (root @ _jacobian(values, place, radius_px)).reshape(-1, len(values))
-        residuals = np.einsum("iab,ib->ia", root, image_px - _image(values, place, radius_px)).ravel()
-        step = solve(rows.T @ rows, rows.T @ residuals, needs, least=ROBUST.collinear**2)
-        values = values + step
-        if np.abs(step).max() < parameters.step_px:
-            break
-    return values
