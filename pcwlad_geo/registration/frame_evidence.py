@@ -131,6 +131,8 @@ def _evidence_of(
     middle_px = np.median(displacement_px, axis=0)
     most_px = float(np.quantile(np.hypot(*displacement_px.T), parameters.most))
     unmarked = without_marked(frames, parameters.specks)
+    if not unmarked.valid.any():
+        return None
     marked = frames._replace(valid=unmarked.valid)
     is_alike = common_grey(marked) >= parameters.common_grey
     unspecked = without_specks(unmarked, parameters.specks) if raw and is_alike else None

@@ -319,7 +319,7 @@ def common_grey(frames: Frames) -> float:
         tuple(_flattened(values, valid)[valid] for values in (one, other)),
         tuple((values - cv2.GaussianBlur(values, (0, 0), 1))[valid] for values in (one, other)),
     )
-    return max(float(np.corrcoef(*pair)[0, 1]) for pair in pairs)
+    return max((float(np.corrcoef(*pair)[0, 1]) for pair in pairs if min(map(np.ptp, pair)) > 0), default=0.0)
 
 
 def _flattened(values: Float32, valid: Bool) -> Float64:
