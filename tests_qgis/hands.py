@@ -18,7 +18,7 @@ import processing
 from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRectangle
 from qgis.PyQt.QtCore import QPoint, Qt
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QScrollArea, QWidget
+from qgis.PyQt.QtWidgets import QProgressBar, QScrollArea, QWidget
 from qgis.utils import iface, plugins
 from steps import FOLDER, JOB, add, begin, editable, ended, go, grab, seen
 
@@ -82,7 +82,15 @@ def small_window(dock: Any, window: QWidget) -> Iterator[int]:
     grab(window, "advanced_1024")
     dock.advanced.setCollapsed(True)
     seen["idle"] = shown(dock)
+    yield from drawn()
     seen["window"] = [window.minimumSizeHint().width()]
+
+
+def drawn() -> Iterator[int]:
+    """Wait until the map is drawn: QGIS shows a bar of its progress meanwhile, which widens the window."""
+    bar = iface.mainWindow().statusBar().findChild(QProgressBar, "mProgressBar")
+    while iface.mapCanvas().isDrawing() or (bar is not None and bar.isVisible()):
+        yield 100
 
 
 def twice(dock: Any, window: QWidget) -> Iterator[int]:
@@ -105,6 +113,7 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     dock.tabs.setCurrentIndex(1)
     editor = dock.editor
     yield from editable(dock)
+    yield from drawn()
     seen["window"].append(window.minimumSizeHint().width())
     grab(window, "points_1024")
     yield from keys(editor)
