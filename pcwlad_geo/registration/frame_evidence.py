@@ -136,7 +136,9 @@ def _evidence_of(
     marked = frames._replace(valid=unmarked.valid)
     is_alike = common_grey(marked) >= parameters.common_grey
     unspecked = without_specks(unmarked, parameters.specks) if raw and is_alike else None
-    near_px = None if _is_beyond(middle_px, parameters) else near_rival(marked, middle_px, parameters)
+    near_px = None
+    if not _is_beyond(middle_px, parameters):  # beside the way, clouds of a map have moved
+        near_px = near_rival(marked, middle_px, parameters, on_the_way=not raw)
     if near_px is None and raw and is_alike:  # ground that is bent, or moves in part, is no frame's
         near_px = ground_beside(unspecked or unmarked, displacement_px, parameters)
     on_axis = (np.abs(middle_px) <= parameters.identity_px) & (

@@ -180,12 +180,14 @@ def rival(frames: Frames, parameters: FrameParameters) -> tuple[float, float] | 
     return float(right - cols * (2 * right > cols)), float(down - rows * (2 * down > rows))
 
 
-def near_rival(frames: Frames, middle_px: Float64, parameters: FrameParameters) -> tuple[float, float] | None:
+def near_rival(
+    frames: Frames, middle_px: Float64, parameters: FrameParameters, *, on_the_way: bool
+) -> tuple[float, float] | None:
     """Return a displacement of the ground too small for the cepstrum, if points at (2,) `middle_px` miss it.
 
     A pattern of single pixels shows in the finest structure, which correlates best at no displacement.
     Smoothing takes most of it out, and what whole rows and columns have. The rest correlates where the
-    ground lies.
+    ground lies. If `on_the_way`, only points on the way from none to there miss it.
     """
     one, other, valid = frames
     if not valid.any() or not _has_common_pattern(one, other, valid, parameters.fine_z):
@@ -198,6 +200,9 @@ def near_rival(frames: Frames, middle_px: Float64, parameters: FrameParameters) 
     least = max(parameters.near_z * surface.std(), parameters.near_ratio * surface[0, 0])
     ground_px = np.array([col, row], np.float64) - reach
     is_drawn = ground_px @ middle_px < parameters.drawn_share * (ground_px @ ground_px)
+    if on_the_way:  # from no displacement to that of the ground
+        way = ground_px / max(float(np.hypot(*ground_px)), 1.0)
+        is_drawn &= bool(np.hypot(*(middle_px - (middle_px @ way) * way)) <= parameters.pulled_px)
     if window[row, col] < least or not is_drawn:
         return None
     return float(ground_px[0]), float(ground_px[1])
