@@ -135,7 +135,9 @@ def _evidence_of(
         return None
     marked = frames._replace(valid=unmarked.valid)
     is_alike = common_grey(marked) >= parameters.common_grey
-    unspecked = without_specks(unmarked, parameters.specks) if raw and is_alike else None
+    unspecked = None
+    if raw and is_alike:
+        unspecked = without_specks(unmarked, parameters.specks, parameters.smooth_px)
     near_px = None
     if not _is_beyond(middle_px, parameters):  # beside the way, clouds of a map have moved
         near_px = near_rival(marked, middle_px, parameters, on_the_way=not raw)
@@ -163,12 +165,13 @@ def _evidence_of(
     if rival_px is None and not (exact and is_alike):
         return None
     share = share_at(middle_px, unmarked, window, parameters)
-    if share is None or rival_px is not None or unspecked is None:
-        return None if share is None else FrameEvidence(share, rival_px, parameters=parameters)
-    rest = share_at(middle_px, unspecked, window, parameters)
-    if rest is not None and rest < share:
-        return FrameEvidence(rest, None, WITHOUT_SPECKS, parameters)
-    return FrameEvidence(share, None, parameters=parameters)
+    if share is None:
+        return None
+    if rival_px is None and unspecked is not None:
+        rest = share_at(middle_px, unspecked, window, parameters)
+        if rest is not None and rest < share:
+            return FrameEvidence(rest, None, WITHOUT_SPECKS, parameters)
+    return FrameEvidence(share, rival_px, parameters=parameters)
 
 
 def _middle_of(info: RasterInfo, parameters: FrameParameters, within: Window | None) -> tuple[Float32, Bool]:

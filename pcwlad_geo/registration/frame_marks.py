@@ -32,8 +32,6 @@ class SpeckParameters:
     """Largest share of the image that is specks; beyond it, it is texture."""
     fill_px: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
     """Standard deviations of the filters that fill specks from around them, in turn."""
-    smooth_px: float = 2.5
-    """Standard deviation of the filter that takes out the pattern of single pixels."""
     structured: float = 2.0
     """Least ratio of the structure to that of white noise from which the rest of an image can tell: 1.3 of
     noise, 9 and more of ground, however faint."""
@@ -71,17 +69,18 @@ def without_marked(frames: Frames, parameters: SpeckParameters) -> Frames:
     return Frames(_filled(one, ~valid, parameters), _filled(other, ~valid, parameters), valid)
 
 
-def without_specks(frames: Frames, parameters: SpeckParameters) -> Frames | None:
+def without_specks(frames: Frames, parameters: SpeckParameters, smooth_px: float) -> Frames | None:
     """Return the frames with specks that both have filled; None if there are none, or the rest tells nothing.
 
-    Dust on a sensor or a window, and writing, change both frames alike at the same pixels.
+    Dust on a sensor or a window, and writing, change both frames alike at the same pixels. The structure of
+    the rest is what filters of `smooth_px`, a standard deviation, and of three times that pass.
     """
     one, other, valid = frames
     specks = _specks(one, other, valid, parameters)
     if not 0 < specks.mean() <= parameters.most:
         return None
     rest = Frames(_filled(one, specks, parameters), _filled(other, specks, parameters), valid & ~specks)
-    structure = min(_structure_by_noise(values, rest.valid, parameters) for values in rest[:2])
+    structure = min(_structure_by_noise(values, rest.valid, smooth_px) for values in rest[:2])
     return None if structure < parameters.structured else rest
 
 
@@ -131,10 +130,10 @@ def _filled(values: Float32, holes: Bool, parameters: SpeckParameters) -> Float3
     return filled
 
 
-def _structure_by_noise(values: Float32, valid: Bool, parameters: SpeckParameters) -> float:
+def _structure_by_noise(values: Float32, valid: Bool, smooth_px: float) -> float:
     """Return the ratio of the structure to that of white noise as strong as the finest differences."""
     fine = values - cv2.blur(values, (3, 3))
-    inner, outer = parameters.smooth_px, 3 * parameters.smooth_px
+    inner, outer = smooth_px, 3 * smooth_px
     passed = (1 / inner**2 + 1 / outer**2 - 4 / (inner**2 + outer**2)) / (4 * np.pi)  # of its variance
     structure, noise = (
         float(np.median(np.abs(image[valid]))) for image in (structure_band(values, inner), fine)

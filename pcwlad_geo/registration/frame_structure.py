@@ -152,11 +152,9 @@ def rival(frames: Frames, parameters: FrameParameters) -> tuple[float, float] | 
     signs, so that its power is multiplied by 2 - 2 cos(2πfd) at the frequency f: its cepstrum has a negative
     peak at d. The images' own cepstra show whether the ground only repeats.
     """
-    one, other, valid = frames
-    rows, cols = one.shape
-    taper = np.hanning(rows)[:, None] * np.hanning(cols)
-    first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
-    band = _frequencies(one.shape, parameters)
+    rows, cols = frames.one.shape
+    first, second = _spectra(frames)
+    band = _frequencies(frames.one.shape, parameters)
     crossed = np.conj(first) * second * band
     correlation = crossed.real.sum() / max(
         np.linalg.norm(first * band) * np.linalg.norm(second * band), 1e-12
@@ -190,7 +188,7 @@ def near_rival(
     ground lies. If `on_the_way`, only points on the way from none to there miss it.
     """
     one, other, valid = frames
-    if not valid.any() or not _has_common_pattern(one, other, valid, parameters.fine_z):
+    if not _has_common_pattern(one, other, valid, parameters.fine_z):
         return None
     first, second = (scipy.fft.rfft2(_structure(values, valid, parameters)) for values in (one, other))
     surface = scipy.fft.irfft2((np.conj(first) * second).sum(axis=0), one.shape)
@@ -257,12 +255,17 @@ def ground_beside(
 
 def _phases(frames: Frames, parameters: FrameParameters) -> NDArray[np.complex128]:
     """Return the (rows, cols) phases of the cross spectrum, 0 outside the band of wavelengths."""
+    first, second = _spectra(frames)
+    crossed = np.conj(first) * second
+    return np.asarray(crossed / (np.abs(crossed) + 1e-9) * _frequencies(frames.one.shape, parameters))
+
+
+def _spectra(frames: Frames) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the (rows, cols) spectra of both images without shading, tapered to their borders."""
     one, other, valid = frames
     rows, cols = one.shape
     taper = np.hanning(rows)[:, None] * np.hanning(cols)
-    first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
-    crossed = np.conj(first) * second
-    return np.asarray(crossed / (np.abs(crossed) + 1e-9) * _frequencies((rows, cols), parameters))
+    return np.fft.fft2(_flattened(one, valid) * taper), np.fft.fft2(_flattened(other, valid) * taper)
 
 
 def _frequencies(shape: tuple[int, ...], parameters: FrameParameters) -> Bool:
@@ -279,10 +282,8 @@ def is_of_single_pixels(frames: Frames, parameters: FrameParameters) -> bool:
 
     Ground never is: its spectrum falls by two orders of magnitude between waves of 10 and of 2 px.
     """
-    one, other, valid = frames
-    rows, cols = one.shape
-    taper = np.hanning(rows)[:, None] * np.hanning(cols)
-    first, second = (np.fft.fft2(_flattened(values, valid) * taper) for values in (one, other))
+    rows, cols = frames.one.shape
+    first, second = _spectra(frames)
     row, col = np.abs(np.fft.fftfreq(rows))[:, None], np.abs(np.fft.fftfreq(cols))
     radius, crossed = np.hypot(row, col), (np.conj(first) * second).real
     inner = (row > 2 / rows) & (col > 2 / cols)  # rows and columns that stand out
