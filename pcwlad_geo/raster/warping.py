@@ -261,8 +261,7 @@ def _views(
 ) -> list[OpenView]:
     """Return what opens the warped raster, or parts of it; the grids are those of source, target, output."""
     uri, target = source.name, grids[1]
-    plain = all(type(grid) is Grid for grid in grids)
-    if plain and isinstance(correction, AffineCorrection) and _in_one_turn(grids, correction):
+    if isinstance(correction, AffineCorrection) and _by_geotransforms(grids, correction):
         options = _affine_options(source, grids, correction, method) | request.options()
         return [lambda: _warped(uri, options)]
     paths = [_dense_view(source, grids, correction, method, request, turns) for turns in mapped_parts(target)]
@@ -294,8 +293,13 @@ def _dense_view(
     return os.fspath(write_dense_view(source, folder, dense, options))
 
 
-def _in_one_turn(grids: tuple[Grid, Grid, Grid], correction: AffineCorrection) -> bool:
-    """Whether GDAL, to which 180 degrees east and west are two places, maps all of a raster to the output."""
+def _by_geotransforms(grids: tuple[Grid, Grid, Grid], correction: AffineCorrection) -> bool:
+    """Whether GDAL maps all of a raster to the output by geotransforms, which a swath has not.
+
+    To GDAL, 180 degrees east and west are two places.
+    """
+    if not all(type(grid) is Grid for grid in grids):
+        return False
     corrected, out = _corrected_grid(*grids[:2], correction, grids[2]), grids[2]
     turn = corrected.turn
     x, out_x = (grid.to_xy(grid.boundary_px())[:, 0] for grid in (corrected, out))
@@ -326,7 +330,7 @@ def _write_vrt(
         raise InputError(
             f"a VRT cannot hold a {correction.name} correction: give --model affine, or --of COG or GTiff"
         )
-    if not (all(type(grid) is Grid for grid in grids) and _in_one_turn(grids, correction)):
+    if not _by_geotransforms(grids, correction):
         raise InputError(
             "a VRT cannot hold a swath, or a raster whose longitudes are not the output's: give --of COG or "
             "GTiff"
