@@ -10,6 +10,7 @@ import numpy as np
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, VRT_MODELS
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.estimation.transforms import AffineTransform
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import one_library_thread
 from pcwlad_geo.matching.outliers import consistent
@@ -47,6 +48,9 @@ class AssessmentParameters:
     bare_share: float = 0.05
     """Share of the common ground that shows nothing and lies beyond the tie points, from which that is
     warned of."""
+    bent_share: float = 0.1
+    """Share of the common ground that is such and lies more than a pixel off the trend of the tie points,
+    from which a registration is fair at most."""
 
 
 @one_library_thread()
@@ -86,7 +90,7 @@ def fit_pair(
         fitted = fit_correction(
             table, settings, footprint, sizes_m, shape, candidates, smooth, frames, matches.roles
         )
-        places = _counted_px(matches, fitted.selection, log, parameters)
+        places, bare = _counted_px(matches, fitted.selection, log, parameters)
         whole = _whole_px(matches.pair)
         of_all = None
         if matches.origin is not None and matches.origin.left_out:
@@ -97,6 +101,7 @@ def fit_pair(
             fitted.table, matches.every, fitted.selection, places, footprint, matches.jitter_px, whole, of_all
         )
         quality = _with_seam(quality, fitted, places, footprint)
+        quality = _with_bends(quality, fitted, bare, len(places), parameters)
         for doubt in matches.decision.doubts:
             quality = doubt.applied_to(quality, float(file_px_per_px(matches.views.target).max()))
         if sizes_m is not None and of_one_product(matches.pair.reference.uri, target.uri):
@@ -124,6 +129,30 @@ def _with_seam(quality: Quality, fitted: Fitted, places_px: Float64, footprint_p
     at_px = places_px if len(places_px) else points.predicted_px
     expected_px = float(np.hypot(quality.expected_ce90_px, seam.off_px(fitted.correction, at_px)))
     return replace(quality.at_most("fair", seam.text(at_px, footprint_px)), expected_ce90_px=expected_px)
+
+
+def _with_bends(
+    quality: Quality, fitted: Fitted, bare_px: Float64, places: int, parameters: AssessmentParameters
+) -> Quality:
+    """Return the quality of a correction that bends on bare ground, beyond the tie points.
+
+    What is counted has `places`. The (n, 2) `bare_px` are not, as nothing can be matched there. A correction
+    that continues the affine trend of its points does no harm there. One that goes on to bend moves it.
+    """
+    points_px = fitted.table.select("fit", "check", "unused").predicted_px
+    if len(bare_px) == 0 or len(points_px) < 3:
+        return quality
+    trend = AffineTransform.fit(points_px, fitted.correction.forward(points_px))
+    off_px = np.hypot(*(fitted.correction.forward(bare_px) - trend(bare_px)).T)
+    share = np.count_nonzero(off_px > FAIR_PX) / (len(bare_px) + places)
+    if share <= parameters.bent_share:
+        return quality
+    return quality.at_most(
+        "fair",
+        f"the {fitted.selection.name} correction bends beyond the tie points: {100 * share:.0f} % of the "
+        f"common ground shows nothing that could be matched, and lies up to {off_px.max():.0f} px off the "
+        "affine trend of the points. Choose --model affine if that ground matters",
+    )
 
 
 def _with_prior(quality: Quality, points: TiePointTable, size_m: float) -> Quality:
@@ -167,10 +196,11 @@ def _of_the_main_surface(
 
 def _counted_px(
     matches: Matches, selection: Selection, log: JobLog, parameters: AssessmentParameters
-) -> Float64:
-    """Return (n, 2) target px of the common ground, without what is bare beyond the tie points, as water is.
+) -> tuple[Float64, Float64]:
+    """Return (n, 2) and (m, 2) target px of the common ground: what counts, and the bare beyond the points.
 
-    Nothing can be matched there, and hardly anything seen. Ground that has structure in either band counts.
+    Bare ground is such as water. Nothing can be matched there, and hardly anything seen. Ground that has
+    structure in either band counts.
     """
     with_structure, bare = (
         _common_px(matches.record, matches.views, matches.pair.target, bare=is_bare)
@@ -183,7 +213,7 @@ def _counted_px(
             f"{100 * share:.0f} % of the common ground shows nothing that could be matched, such as water, "
             "and lies beyond the tie points: the grade and the expected error are of the rest"
         )
-    return np.concatenate([with_structure, bare[~beyond]])
+    return np.concatenate([with_structure, bare[~beyond]]), bare[beyond]
 
 
 def _common_px(record: MatchRecord | None, pair: ViewPair, target: RasterInfo, *, bare: bool) -> Float64:
