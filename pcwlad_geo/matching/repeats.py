@@ -73,8 +73,8 @@ def rivals_of(reference: Image, target: Image, shift_xy: Float64) -> list[Rival]
     strongest = near_repeat[distance > by.apart_px].max(initial=0.0)
     if strongest <= by.least_repeat * least_fit / by.clear_ratio:
         return []  # a rival fits that well at least, and no repeat reaches its share of that
-    surface, overlap = masked_correlation(first, second)
-    fit, origin = surface.astype(np.float32), rows_cols - 1
+    fit, overlap = masked_correlation(first, second)
+    origin = rows_cols - 1
     at = np.clip(np.rint(shift_xy[::-1] / step).astype(int) + origin, 0, np.array(fit.shape) - 1)
     row, col = at.tolist()
     fit[overlap < by.least_overlap * overlap[row, col]] = -1.0
