@@ -94,8 +94,9 @@ def expected_ce90(
     covariance[extrapolated] += growth[:, None, None] * np.eye(2)
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    errors = mean_px[:, None, :] + np.einsum("nij,kj->nki", root, _normal_draws(parameters.draws))
-    return float(np.percentile(np.linalg.norm(errors, axis=2), 90))
+    draws = _normal_draws(parameters.draws).T
+    col, row = (mean_px[:, axis, None] + root[:, axis] @ draws for axis in (0, 1))
+    return float(np.percentile(np.sqrt(col**2 + row**2), 90))
 
 
 def _mean_error(
