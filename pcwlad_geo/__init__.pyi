@@ -10,7 +10,6 @@ from .errors import (
     SettingsError,
 )
 from .events import Progress, Warned
-from .execution.runner import Runner
 from .multi.batch.run import batch
 from .multi.qa.run import qa
 from .multi.stack.adding import stack_add
@@ -22,7 +21,6 @@ from .objects.correction import Correction
 from .objects.registration import Registration
 from .objects.steps import fit, load, match, open, register
 from .objects.tie_points import TiePoints
-from .options import Settings
 from .proving import prove
 from .raster.grid import Grid
 from .raster.raster import Raster
@@ -46,8 +44,6 @@ __all__ = [
     "RegistrationRejectedError",
     "RequirementError",
     "Rig",
-    "Runner",
-    "Settings",
     "SettingsError",
     "Stack",
     "TiePoints",

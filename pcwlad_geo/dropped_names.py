@@ -29,6 +29,8 @@ DROPPED: Final = {
     "RequirementResult": _RESULT.format("pcwlad_geo.requirements"),
     "RigApplied": _RESULT.format("pcwlad_geo.rigs.applying_run"),
     "RigLens": _RESULT.format("pcwlad_geo.rigs.rig"),
+    "Runner": "executor takes any concurrent.futures.Executor",
+    "Settings": "options are keywords with the names of the command line",
     "StackImage": _RESULT.format("pcwlad_geo.multi.stack.result"),
     "StackPair": _RESULT.format("pcwlad_geo.multi.stack.pair"),
     "StackQuality": _RESULT.format("pcwlad_geo.multi.stack.quality"),

@@ -27,9 +27,9 @@ KILLS: Final = 2
 PAIRS_ALONE: Final = """
 import csv, sys
 from pathlib import Path
-from pcwlad_geo import Settings
 from pcwlad_geo.job import open_job_runner
 from pcwlad_geo.multi.stack.pairs import match_pair
+from pcwlad_geo.options import Settings
 if __name__ == "__main__":
     settings = Settings(jobs=int(sys.argv[3]))
     pairs = enumerate(csv.reader(open(sys.argv[1])))
