@@ -128,7 +128,7 @@ def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
 def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, match again, check and calibrate the `points` of one `pair` with `settings`."""
     guide = guide_by_field(points, settings)
-    sample = window_sample(guide, settings)
+    sample = window_sample(points.reference_xy_px, settings)
     measured = partial(displacement_by_windows, pair, points[sample], guide.part(sample), settings)
     scales, errors = choose_scales(measured, settings) if len(sample) else (Scales.of(settings.window), None)
     matched = rematch_with(pair, points, guide, settings, scales)

@@ -11,7 +11,6 @@ import numpy as np
 
 from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.matching.calibration import MEDIAN_CHI_SQUARE_2
-from pcwlad_geo.matching.guidance import FieldGuide
 from pcwlad_geo.matching.types import MatchSettings
 from pcwlad_geo.types import Float64, Index
 
@@ -27,7 +26,9 @@ class WindowParameters:
     largest_px: int = 181
     """Largest window that measures: with 257 px it takes twice as long, and gains 0.01 px at most."""
     sample: int = 160
-    """Number of points that are matched with every window."""
+    """Largest number of points that are matched with every window."""
+    sample_per_window: int = 9
+    """Largest number of them in a square as large as the first window: more see the same pixels once more."""
     least_sample: int = 12
     """Least number of points that give the errors of windows."""
     least_to_choose: int = 60
@@ -46,12 +47,21 @@ WINDOWS: Final = WindowParameters()
 """Those in use."""
 
 
-def window_sample(guide: FieldGuide, settings: MatchSettings) -> Index:
-    """Return the (m,) points of the `guide` that tell which of the windows of `settings` is best."""
-    n = len(guide.linear)
-    if n < WINDOWS.least_sample or len(settings.windows) == 1:
-        return np.zeros(0, np.intp)
-    return np.unique(np.linspace(0, n - 1, min(WINDOWS.sample, n)).astype(np.intp))
+def sample_size(xy_px: Float64, settings: MatchSettings) -> int:
+    """Return how many of the points at (n, 2) `xy_px` tell which of the windows of `settings` is best.
+
+    It is 0 where only one window is open, or the points are too few.
+    """
+    if len(xy_px) < WINDOWS.least_sample or len(settings.windows) == 1:
+        return 0
+    squares = len(np.unique(np.floor(xy_px / settings.window), axis=0))
+    return min(WINDOWS.sample, WINDOWS.sample_per_window * squares, len(xy_px))
+
+
+def window_sample(xy_px: Float64, settings: MatchSettings) -> Index:
+    """Return the (m,) of the points at (n, 2) `xy_px` that `sample_size` counts, in even steps."""
+    count = sample_size(xy_px, settings)
+    return np.unique(np.linspace(0, len(xy_px) - 1, count).astype(np.intp))
 
 
 def choose_scales(

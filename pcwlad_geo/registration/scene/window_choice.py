@@ -11,7 +11,7 @@ import numpy as np
 from pcwlad_geo.events import only_warnings
 from pcwlad_geo.matching import FieldGuide, Scales, TiePoints
 from pcwlad_geo.matching.jitter import jitter_px
-from pcwlad_geo.matching.windows import WINDOWS, WindowErrors, choose_scales, window_sample
+from pcwlad_geo.matching.windows import WindowErrors, choose_scales, sample_size
 from pcwlad_geo.registration.motions import share_displaced
 from pcwlad_geo.registration.scene.first_pass import FirstPass
 from pcwlad_geo.registration.scene.parameters import SceneContext
@@ -46,14 +46,15 @@ def choose_windows(
     (col, row) is a displacement beside their own of which the share of the points is wanted.
     """
     settings = first.jobs[0].settings
-    if not len(window_sample(guide, settings)):
+    wanted = sample_size(points.reference_xy_px, settings)
+    if not wanted:
         return WindowChoice(Scales.of(settings.window))
     tiles, counts = np.unique(tile_of, return_counts=True)
     # multiples of the golden ratio are spread evenly, however many are taken
     spread = np.argsort((5**0.5 - 1) / 2 * np.arange(len(tiles)) % 1, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(counts[spread]), WINDOWS.sample)) + 1
+    enough = int(np.searchsorted(np.cumsum(counts[spread]), wanted)) + 1
     selection = np.sort(spread[:enough])
-    step = max(1, int(counts[selection].sum() / WINDOWS.sample))
+    step = max(1, int(counts[selection].sum() / wanted))
     members = [np.flatnonzero(tile_of == tile) for tile in tiles[selection]]
     on_event = partial(only_warnings, context.log.on_event)  # the progress is no stage's own
 
