@@ -25,9 +25,11 @@ from pcwlad_geo.registration import prepare_pair
 from tests.basemaps.server import ZOOM, MapServer, capabilities, map_grid, serving
 from tests.scenes import make_grid, render, write
 
-SMALL: Any = {"template": 61, "window": 41, "features": 150, "model": "shift"}
-QUICK: Any = {**SMALL, "prealign": "georef", "no_report": True}
-OPTIONS = ["--template", "61", "--window", "41", "--features", "150", "--model", "shift", "--allow-remote"]
+PHOTO: Any = {"template": 61, "window": 41, "features": 60, "model": "shift"}
+SMALL: Any = {**PHOTO, "prealign": "georef"}
+QUICK: Any = {**SMALL, "no_report": True}
+OPTIONS = ["--template", "61", "--window", "41", "--features", "60", "--model", "shift", "--allow-remote"]
+OPTIONS += ["--prealign", "georef"]
 TARGET = make_grid((250, 260), pixel_m=28.6, offset_m=(9_000, 8_000))
 SHIFT_PX = np.array([3.4, -2.7])
 PLACE = TARGET.transform.to_gdal()
@@ -126,7 +128,7 @@ def test_a_wms_is_fetched_too(files: tuple[Path, Path, Path], server: MapServer)
 
 def test_a_wmts_is_fetched_by_its_capabilities(files: tuple[Path, Path, Path], server: MapServer) -> None:
     name = f"WMTS:{server.address}/wmts.xml,layer=ortho"
-    found = pcwlad_geo.register(name, files[1], out_dir="map", allow_remote=True, **SMALL)
+    found = pcwlad_geo.register(name, files[1], out_dir="map", allow_remote=True, **QUICK)
     by_tiles = pcwlad_geo.register(server.xyz, files[1], out_dir="tiles", allow_remote=True, **QUICK)
     assert found.reference.basemap.name == f"{server.address}/wmts.xml (Orthophoto)"
     assert server.asked["/wmts.xml"] == 1
@@ -162,7 +164,7 @@ def test_the_error_on_a_web_map_is_proved(
 def test_a_stack_is_on_a_web_map(files: tuple[Path, Path, Path], server: MapServer) -> None:
     other_px = np.array([-1.6, 2.2])
     other = write(Path("other.tif"), render(TARGET, "red", displacement_px=other_px), TARGET)
-    options: Any = {**SMALL, "out_dir": "stack", "allow_remote": True}
+    options: Any = {**QUICK, "out_dir": "stack", "allow_remote": True, "jobs": 1}
     result = pcwlad_geo.stack([server.xyz, files[1], other], **options)
     assert (result.datum, result.images[-1].name) == ("basemap", "basemap")
     shifts_px = [image.shift_px for image in result.images]
@@ -207,7 +209,7 @@ def test_where_to_look_must_be_said_for_a_photo(files: tuple[Path, Path, Path], 
     corners = map_grid().to_xy(np.array([[100.0, 650.0], [650.0, 100.0]]))
     extent: Any = tuple(corners.ravel().tolist())
     found = pcwlad_geo.register(
-        server.xyz, photo, out_dir="map", allow_remote=True, extent=extent, ref_zoom=ZOOM, **SMALL
+        server.xyz, photo, out_dir="map", allow_remote=True, extent=extent, ref_zoom=ZOOM, **PHOTO
     )
     assert found.prealignment.method in ("search", "pose")
     off_m = np.array([28.6, -28.6]) * SHIFT_PX
