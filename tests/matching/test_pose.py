@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import cv2
@@ -26,7 +27,7 @@ from pcwlad_geo.matching.pose.parameters import POSE
 from pcwlad_geo.matching.pose.patch_votes import VotingPatches
 from pcwlad_geo.matching.pose.proposal import PoseProposal
 from pcwlad_geo.matching.pose.resampling import warped
-from pcwlad_geo.matching.pose.search import search_pose
+from pcwlad_geo.matching.pose.search import PoseSearch, search_pose
 from tests.matching.test_global_search import cover, modality
 
 SIDE_PX = 300
@@ -61,6 +62,17 @@ def search(target: np.ndarray, **options: Any) -> PoseProposal | None:
     return search_pose(REFERENCE, target, *valid, **options).proposal
 
 
+@cache
+def search_in_pose(rotation_deg: float, scale: float, shift_xy: tuple[float, float]) -> PoseProposal | None:
+    return search(seen(rotation_deg, scale, shift_xy)[0])
+
+
+@cache
+def search_of_another_scene(seed: int) -> PoseSearch:
+    other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
+    return search_pose(REFERENCE, other, *[np.ones(REFERENCE.shape, bool)] * 2)
+
+
 @pytest.mark.parametrize(
     ("rotation_deg", "scale", "shift_xy"),
     [
@@ -70,8 +82,8 @@ def search(target: np.ndarray, **options: Any) -> PoseProposal | None:
     ],
 )
 def test_any_pose_is_found(rotation_deg: float, scale: float, shift_xy: tuple[float, float]) -> None:
-    target, matrix = seen(rotation_deg, scale, shift_xy)
-    found = search(target)
+    _, matrix = seen(rotation_deg, scale, shift_xy)
+    found = search_in_pose(rotation_deg, scale, shift_xy)
     assert found is not None
     assert found.accepted
     assert mean_distance_px(found.matrix, matrix, REFERENCE.shape) < 2.0 * scale
@@ -107,8 +119,7 @@ def test_invalid_pixels_do_not_count() -> None:
 
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_nothing_stands_out_of_another_scene(seed: int) -> None:
-    other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
-    found = search(other)
+    found = search_of_another_scene(seed).proposal
     assert found is not None
     assert not found.accepted
 
@@ -273,7 +284,7 @@ def test_a_target_seen_from_the_side_is_found_in_perspective() -> None:
 
 
 def test_a_target_seen_from_above_shows_no_perspective() -> None:
-    found = search(seen(94.0, 0.62, (-30.0, 8.0))[0])
+    found = search_in_pose(94.0, 0.62, (-30.0, 8.0))
     assert found is not None
     assert found.agreeing > 20
     assert found.homography is None
@@ -303,9 +314,7 @@ def test_patches_that_do_not_agree_grow_no_homography() -> None:
 
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_grey_values_tell_no_pose_of_another_scene(seed: int) -> None:
-    other = modality(cover(seed), 20, blur_px=2.0)[100:400, 100:400]
-    searched = search_pose(REFERENCE, other, *[np.ones((300, 300), bool)] * 2)
-    assert list(poses_by_grey_values(searched)) == [None, None]
+    assert list(poses_by_grey_values(search_of_another_scene(seed))) == [None, None]
 
 
 def test_a_pose_ascends_to_the_affine_one_beside_it() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -11,6 +13,7 @@ from pcwlad_geo.matching.repeats import rivals_of
 from tests.repeating_ground import PATTERNS, repeating_pair
 
 FROM_PX = np.array([5.0, -3.0])
+pair_of = cache(repeating_pair)
 
 
 def _image(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -19,7 +22,7 @@ def _image(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _rivals(kind: str, periods: int, **options: object) -> list:
     """Return the rivals of a displacement that is wrong by so many periods."""
-    reference, target = repeating_pair(kind, (5.0, -3.0), side_px=260, **options)  # type: ignore[arg-type]
+    reference, target = pair_of(kind, (5.0, -3.0), side_px=260, **options)  # type: ignore[arg-type]
     return rivals_of(_image(reference), _image(target), FROM_PX + periods * np.array(PATTERNS[kind][1]))
 
 
@@ -62,7 +65,7 @@ def test_a_scene_larger_than_what_is_compared() -> None:
 
 
 @pytest.mark.parametrize("kind", PATTERNS)
-@pytest.mark.parametrize("periods", [0, 1])
+@pytest.mark.parametrize("periods", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_what_is_left_out_for_speed_holds_no_rival(
     kind: str, periods: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
