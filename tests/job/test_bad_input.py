@@ -307,7 +307,7 @@ def test_same_file_and_band(register: Register, tmp_path: Path) -> None:
 
 def test_unrelated_scenes(register: Register, tmp_path: Path) -> None:
     write(tmp_path / "other.tif", render(GRID, seed=11), GRID)
-    ended = register("ref.tif", "other.tif")
+    ended = register("ref.tif", "other.tif", "--prealign", "georef")
     assert ended.status == 3
     assert ended.error.count("\n") == 1
     assert "no better than chance" in ended.error
