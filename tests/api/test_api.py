@@ -156,7 +156,7 @@ def test_an_executor_of_the_callers_finds_the_same(steps: Steps) -> None:
 def test_a_pair_that_is_not_one_is_refused_with_its_figures(files: Files, tmp_path: Path) -> None:
     other = write(tmp_path / "other.tif", render(TARGET, seed=5), TARGET)
     with pytest.raises(pg.RegistrationRejectedError, match="agree") as caught:
-        pg.match(files.reference, other, **SMALL)
+        pg.match(files.reference, other, prealign="georef", **SMALL)
     registration = caught.value.registration
     assert isinstance(registration, pg.Registration)
     assert registration.status == "rejected"
