@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,10 +29,11 @@ ACROSS = Raster("across", LONLAT, AT, shape=(150, 150))
 FROM_181 = Raster("from -181", LONLAT, AT, shape=(150, 150), turns=-1)
 UTM = Raster("utm", "EPSG:32701", AT, shape=(150, 150))
 MERCATOR = Raster("mercator", "EPSG:3857", AT, shape=(150, 150))
+FEW = replace(SETTINGS, features=300)
 OPTIONS = {"features": 40, "window": 41, "template": 61, "jobs": 1, "no_report": True}
 
 
-def off_px(reference: Path, target: Path, settings: Settings = SETTINGS) -> np.ndarray:
+def off_px(reference: Path, target: Path, settings: Settings = FEW) -> np.ndarray:
     """Return the mean error (col, row) of the tie points of a pair."""
     found = register_pair(reference, target, settings, match_only=True)
     assert found.status == "matched", found.reason

@@ -31,7 +31,7 @@ def matched(folder: Path, *, water: bool) -> Matches:
             other = np.random.default_rng(number).normal(40, 1, other.shape)
         image[:, SHORE_PX:] = other[:, SHORE_PX:]
         paths.append(write(folder / f"{number}.tif", image, GRID))
-    matches = match_pair(prepare_pair(*paths, Settings(prealign="georef")), InThisProcess())
+    matches = match_pair(prepare_pair(*paths, Settings(prealign="georef", features=400)), InThisProcess())
     assert matches.accepted, matches.reason
     return matches
 

@@ -66,7 +66,7 @@ def test_grey_values_of_other_ground_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", ["gradient", pytest.param("pcwlad", marks=pytest.mark.slow)])
 def test_a_method_that_was_chosen_is_kept_to(method: str, tmp_path: Path) -> None:
-    settings = Settings(prealign="georef", method=method)  # type: ignore[arg-type]
+    settings = Settings(prealign="georef", method=method, features=300)  # type: ignore[arg-type]
     assert register_pair(*pair(tmp_path, bands(1)), settings).prealignment.matched_by == "structure"
 
 

@@ -154,7 +154,7 @@ def test_a_mask_moves_with_its_target(tmp_path: Path) -> None:
     ("tilt_deg", "turn_deg", "on_map"),
     [
         (2.0, 0.0, False),
-        (3.0, 20.0, True),
+        pytest.param(3.0, 20.0, True, marks=pytest.mark.slow),
         pytest.param(3.0, 35.0, False, marks=pytest.mark.slow),
         pytest.param(10.0, 35.0, False, marks=pytest.mark.slow),  # 13 % across the frame
     ],

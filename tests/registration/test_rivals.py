@@ -66,7 +66,7 @@ def _seam(folder: Path, left_px: float, right_px: float, settings: Settings) -> 
     return register_pair(reference, target, settings)
 
 
-@pytest.mark.parametrize("settings", [FEW, Settings()])
+@pytest.mark.parametrize("settings", [FEW, pytest.param(Settings(), marks=pytest.mark.slow)])
 def test_a_part_beyond_the_search_border_is_searched_for(tmp_path: Path, settings: Settings) -> None:
     result = _seam(tmp_path, 11.2, 13.4, settings)
     points = result.tie_points[result.tie_points.status != "rejected"]
