@@ -18,7 +18,7 @@ _ECOSTRESS_FILE: Final = re.compile(
     re.IGNORECASE,
 )
 """Name of a band that shows the ground, or of the mask of clouds, of a tile."""
-_SWATH: Final = re.compile(r"ECOSTRESS_L2_.*\.h5|ECOv\d{3}_L2G?_(?:LSTE|CLOUD)_.*\.h5", re.IGNORECASE)
+_GRIDDED: Final = re.compile(r"ECOv\d{3}_L2G_(?:LSTE|CLOUD)_.*\.h5", re.IGNORECASE)
 _TEMPERATURE_BANDS: Final = ("LST", "EmisWB")
 
 
@@ -62,11 +62,8 @@ def _part(names: Sequence[str]) -> str | None:
     if scenes:
         scene = next(iter(scenes))
         return f"parts of the tile {scene} of ECOSTRESS without a band: add {scene}_LST.tif"
-    if any(map(_SWATH.fullmatch, names)):
-        return (
-            "swaths of ECOSTRESS, which are not placed on the ground: get the tiles of the same scene "
-            "(ECO_L2T_LSTE)"
-        )
+    if any(map(_GRIDDED.fullmatch, names)):
+        return "gridded scenes of ECOSTRESS in HDF5: get the tiles of the same scene (ECO_L2T_LSTE)"
     return None
 
 

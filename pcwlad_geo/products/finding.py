@@ -35,6 +35,9 @@ KINDS: Final = Registry(
         "pcwlad_geo.products.hdf5_cubes:PRISMA",
         "pcwlad_geo.products.hdf5_cubes:EMIT",
         "pcwlad_geo.products.ecostress:ECOSTRESS",
+        "pcwlad_geo.products.swaths:ECOSTRESS_SWATH",
+        "pcwlad_geo.products.swaths:VIIRS_L1B",
+        "pcwlad_geo.products.modis:MODIS",
         "pcwlad_geo.products.stac:STAC",
     ),
 )

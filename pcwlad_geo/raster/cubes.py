@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from xml.sax.saxutils import escape
 
 import rasterio
@@ -16,10 +15,9 @@ from rasterio.crs import CRS
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.raster.hdf5 import geolocation_metadata, open_hdf5
+from pcwlad_geo.raster.swath_files import swath_vrt
 from pcwlad_geo.raster.trust.local_files import OnDisk, Stamp
-
-if TYPE_CHECKING:
-    import h5py
 
 _URI: Final = re.compile(r'HDF5:"?(?P<file>[^"]+?)"?:/(?P<array>/[^"]+)')
 """GDAL's name of an array, spaces of whose path it writes as underscores."""
@@ -60,34 +58,17 @@ class CubeReader(DatasetReader):  # type: ignore[misc]  # rasterio has no types
         return self._uri
 
 
-def array_uri(path: Path, array: str) -> str:
-    """Return GDAL's name of an array of a file."""
-    return f'HDF5:"{path}":/{array.replace(" ", "_")}'
-
-
-@contextmanager
-def open_hdf5(path: str | Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file that was checked; raise `InputError` if it is damaged, or lacks what is read."""
-    try:
-        import h5py  # optional, and rarely needed
-    except ImportError as error:
-        raise InputError(f"{path}: pip install 'pcwlad-geo[hdf5]' to read its structure") from error
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            yield file
-    except (OSError, RuntimeError, ValueError, KeyError, IndexError, TypeError) as error:
-        raise InputError(f"{path} is damaged, or lacks a part: {error}; get it again") from error
-
-
 def as_vrt(uri: str) -> str | None:
-    """Return the VRT of a cube by its name; None for all that GDAL opens as it should.
+    """Return the VRT of a cube or swath by its name; None for all that GDAL opens as it should.
 
-    The file was checked. Raises `InputError` if the cube is damaged.
+    The file was checked. Raises `InputError` if it is damaged, or the file that places a swath is missing.
     """
     match = _URI.fullmatch(uri)
     array = match["array"].replace("Data_Fields", "Data Fields") if match else ""
-    if match is None or not (array == _EMIT or _PRISMA.fullmatch(array)):
+    if match is None:
         return None
+    if not (array == _EMIT or _PRISMA.fullmatch(array)):
+        return swath_vrt(match["file"], array)
     if tuple(map(int, rasterio.__gdal_version__.split(".")[:2])) < CUBES.gdal:
         raise InputError(
             f"{uri} has its bands in the middle or last, which GDAL {rasterio.__gdal_version__} does not "
@@ -151,7 +132,4 @@ def _geolocation(file: Any, path: str, array: str, is_prisma: bool) -> str:  # n
         names = (f"Longitude{ending}", f"Latitude{ending}")
     if group[names[0]].shape != group[names[1]].shape or group[names[0]].ndim != 2:
         raise ValueError(f"{names[0]} has another shape than {names[1]}")
-    x, y = (array_uri(Path(path).absolute(), group[name].name) for name in names)
-    tags = {"X_DATASET": x, "Y_DATASET": y, "GEOREFERENCING_CONVENTION": "PIXEL_CENTER"}
-    items = "".join(f'<MDI key="{key}">{escape(value)}</MDI>' for key, value in tags.items())
-    return f'<Metadata domain="GEOLOCATION">{items}</Metadata>'
+    return geolocation_metadata(Path(path).absolute(), *(group[name].name for name in names))

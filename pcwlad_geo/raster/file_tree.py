@@ -17,8 +17,9 @@ from typing import IO, TYPE_CHECKING, Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import LIMITS, check_count, check_unpacked
-from pcwlad_geo.raster.cubes import array_uri, open_hdf5
+from pcwlad_geo.raster.hdf5 import array_uri, open_hdf5
 from pcwlad_geo.raster.opening import check_source
+from pcwlad_geo.raster.swath_files import swath_bands
 from pcwlad_geo.text import read_bytes
 from pcwlad_geo.types import PathLike
 
@@ -100,6 +101,14 @@ class FileTree:
         check_source(str(self.path / name))
         with open_hdf5(self.path / name) as file:
             yield file
+
+    def swath_bands(self, name: str) -> list[tuple[str, str]]:
+        """Return the names and URIs of the bands in a file that another one beside it places on the ground.
+
+        Raises `InputError` if that is missing, and what `open_hdf5` raises.
+        """
+        with self.open_hdf5(name) as file:
+            return swath_bands(self.path / name, file)
 
     def array_uri(self, name: str, array: str) -> str:
         """Return GDAL's name of an array of an HDF5 file, the path of which begins with a slash."""

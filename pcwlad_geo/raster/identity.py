@@ -203,5 +203,6 @@ def _files_of(uri: str) -> list[str]:
     Raises `InputError` if the raster cannot be opened.
     """
     with open_raster(uri) as dataset:
-        files = dataset.files or [destination(uri).path]  # a cube of HDF5 is a VRT in memory
-        return [unsigned(file) for file in files]
+        files = dataset.files or [uri]  # a cube of HDF5 is a VRT in memory
+        files += [name for tag, name in dataset.tags(ns="GEOLOCATION").items() if tag.endswith("_DATASET")]
+        return [unsigned(destination(file).path if file.startswith("HDF5:") else file) for file in files]

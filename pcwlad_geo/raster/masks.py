@@ -25,6 +25,10 @@ MaskKind = Literal[
     "QL_QUALITY_CLOUD",
     "QL_QUALITY-2",
     "cloud",
+    "CloudMask",
+    "Cloud_Mask",
+    "EMIT mask",
+    "Integer_Cloud_Mask",
 ]
 """zeros: 0 = excluded; the other kinds have the names that the products give them."""
 
@@ -42,16 +46,25 @@ Collections.
 """
 _OLDER_BQA: Final = 1 << 13
 """Least value of before the Collections, which always sets one of the bits that Collection 1 leaves empty."""
-_CLASSI_BANDS: Final = 1, 2
-"""Bands of the Sentinel-2 mask whose nonzero pixels are excluded: opaque clouds, cirrus (3 is snow)."""
-_UDM2_BANDS: Final = 3, 5, 6, 8
-"""Bands of Planet's mask that exclude: shadow, heavy haze, cloud, and the bits of the older mask."""
+_BANDS: Final[dict[str, tuple[int, ...]]] = {
+    "MSK_CLASSI": (1, 2),  # opaque clouds, cirrus; 3 is snow
+    "UDM2": (3, 5, 6, 8),  # shadow, heavy haze, cloud, and the bits of the older mask
+    "QL_QUALITY-2": (1, 6, 7),  # shadow, cloud over land, cloud over water
+    "EMIT mask": (1, 2, 5),  # clouds, cirrus, near clouds
+}
+"""Bands of masks of several whose nonzero pixels are excluded."""
 _UDM2_OLDER_CLOUD: Final = 1 << 1
 """The bit of band 8 that does not exclude, as it also marks snow."""
-_DESIS_BANDS: Final = 1, 6, 7
-"""Bands of the mask of DESIS that exclude: shadow, cloud over land, cloud over water."""
-FLAGS_ONLY: Final = ("UDM2", "CLM", "QL_QUALITY_CLOUD", "QL_QUALITY-2", "cloud")
+_CLOUDS_OF_PRISMA: Final = 1, 255
+"""Values of the mask of PRISMA that exclude: clouds, and errors."""
+FLAGS_ONLY: Final = ("UDM2", "CLM", "QL_QUALITY_CLOUD", "QL_QUALITY-2", "cloud", "Cloud_Mask", "EMIT mask")
 """Kinds whose 0 is clear ground even where the file declares it as nodata."""
+_CLOUD_MASK_BITS: Final = 0b111, 0b001
+"""Bits of the mask of ECOSTRESS of Collection 1, and those of clear ground: decided, no cloud, none near."""
+_CLEAR_OF_VIIRS: Final = 2, 3
+"""Classes of the cloud mask of VIIRS that are clear ground: probably, and confidently."""
+_NUMBERS: Final = {"EMIT mask": "f"}
+"""Kinds of NumPy's types of masks that are not whole numbers."""
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
 _MASK_FILES: Final[dict[MaskKind, str]] = {
     "QA_PIXEL": rf"(^|_)QA_PIXEL{_ENDINGS}",
@@ -62,7 +75,11 @@ _MASK_FILES: Final[dict[MaskKind, str]] = {
     "UDM2": r"(^|_)udm2(_clip)?(\.\w+)?$",
     "QL_QUALITY_CLOUD": r"^ENMAP.*-QL_QUALITY_CLOUD(_COG)?\.\w+$",
     "QL_QUALITY-2": r"^DESIS-.*-QL_QUALITY-2\.\w+$",
-    "cloud": r"^ECOv\d+_L2T_LSTE_.*_cloud\.\w+$",
+    "cloud": r"^ECOv\d+_L2T_LSTE_.*_cloud\.\w+$|^Cloud_final$",
+    "CloudMask": r"^CloudMask$",
+    "Cloud_Mask": r"^Cloud_Mask$",
+    "EMIT mask": r"^EMIT mask$",
+    "Integer_Cloud_Mask": r"^Integer_Cloud_Mask(\?.*)?$",
     "CLM": r"(^|_)CLM_(R[123]|XS)(\.\w+)?$",
 }
 _OTHERS: Final = re.compile(
@@ -102,8 +119,7 @@ def is_quality_raster(name: str) -> bool:
 
 def bands_of(kind: MaskKind) -> tuple[int, ...]:
     """Return the numbers of the bands, from 1, that a kind of mask consists of."""
-    several = {"MSK_CLASSI": _CLASSI_BANDS, "UDM2": _UDM2_BANDS, "QL_QUALITY-2": _DESIS_BANDS}
-    return several.get(kind, (1,))
+    return _BANDS.get(kind, (1,))
 
 
 def files_of_mask(kind: MaskKind, uri: str) -> tuple[str, ...]:
@@ -133,8 +149,15 @@ def accepted(kind: MaskKind, values: NDArray[np.generic]) -> Bool:
         return np.where(values[0] >= _OLDER_BQA, older, later)
     if kind == "SCL":
         return ~np.isin(values[0], _EXCLUDED[kind])
-    if kind in ("MSK_CLASSI", "CLM", "QL_QUALITY-2", "QL_QUALITY_CLOUD", "cloud"):
+    if kind in ("MSK_CLASSI", "CLM", "QL_QUALITY-2", "QL_QUALITY_CLOUD", "cloud", "EMIT mask"):
         return np.asarray((values == 0).all(axis=0))
+    if kind == "Cloud_Mask":
+        return ~np.isin(values[0], _CLOUDS_OF_PRISMA)
+    if kind == "CloudMask":
+        decided, clear = _CLOUD_MASK_BITS
+        return np.asarray((values[0] & decided) == clear)
+    if kind == "Integer_Cloud_Mask":
+        return np.isin(values[0], _CLEAR_OF_VIIRS)
     return np.asarray((values[0] != 0) & np.isfinite(values[0]))
 
 
@@ -145,7 +168,8 @@ def _without(kind: str, values: NDArray[np.generic]) -> Bool:
 
 def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:
     count = max(bands_of(kind))
-    if len(dtypes) < count or any(np.dtype(dtype).kind not in "iu" for dtype in dtypes[:count]):
+    types = _NUMBERS.get(kind, "iu")
+    if len(dtypes) < count or any(np.dtype(dtype).kind not in types for dtype in dtypes[:count]):
         plural = "s" if len(dtypes) != 1 else ""
         content = f"{len(dtypes)} band{plural} of type {', '.join(sorted(set(dtypes)))}"
         raise InputError(

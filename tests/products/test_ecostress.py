@@ -61,8 +61,8 @@ def test_a_folder_of_tiles_is_a_stack(tmp_path: Path) -> None:
     [
         ([f"{ECOSTRESS}_cloud.tif"], f"parts of the tile {ECOSTRESS} of ECOSTRESS without a band: add"),
         (
-            ["ECOv002_L2_LSTE_35698_014_20241022T103923_0713_01.h5"],
-            "swaths of ECOSTRESS, which are not",
+            ["ECOv002_L2G_LSTE_35698_014_20241022T103923_0713_01.h5"],
+            "gridded scenes of ECOSTRESS",
         ),
     ],
 )

@@ -60,7 +60,7 @@ def _checked(file: Place, visited: set[Place], *, any_driver: bool) -> Kind:
         raise UntrustedFileError(f"it needs {file.uri}, which is no raster of a common format")
     if kind == "vrt":
         _check_vrt(file, visited)
-    elif any_driver:
+    elif any_driver and kind == "signed":
         for name in _tags_of(file, stamp):
             _check_named(file, name, visited)
     for sidecar in file.sidecars():
