@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
 from pcwlad_geo.products.kind import ProductKind
+from pcwlad_geo.products.names import beside
 from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree
 from pcwlad_geo.raster.file_tree import name_in
@@ -26,6 +28,9 @@ class CubeSensor:
     """Whole name of a scene's file, with the group ``level``."""
     bands: Callable[[Any], Bands]
     """Yields the usable bands of an open file."""
+    mask: Callable[[re.Match[str]], tuple[str, str]]
+    """Returns, of the name of a scene's file, that of the file of its mask, with * for any text, and the
+    array in it. There is no mask where the name is empty."""
 
     def find(self, tree: FileTree) -> Product | None:
         """Return the scene of a folder; None where there is none, or several."""
@@ -38,10 +43,11 @@ class CubeSensor:
         """Return the scene of its file."""
         if not self.files.fullmatch(path.name):
             return None
-        return self._scene(FileTree(path.parent, (path.name,)), path.name, str(path))
+        return self._scene(beside(path), path.name, str(path))
 
     def _scene(self, tree: FileTree, name: str, path: str) -> Product:
         match = self.files.fullmatch(name_in(name))
+        mask_file, array = self.mask(match) if match else ("", "")
         with tree.open_hdf5(name) as file:
             described = list(self.bands(file))
         bands = tuple(
@@ -49,7 +55,8 @@ class CubeSensor:
             for count, (array, number, middle, width) in enumerate(described, start=1)
         )
         level = match["level"].upper() if match else ""
-        return Product(path=path, kind=f"{self.name} {level}", bands=bands, mask=None)
+        mask = _mask(tree, mask_file, array) if mask_file else None
+        return Product(path=path, kind=f"{self.name} {level}", bands=bands, mask=mask, mask_file=mask_file)
 
     def part(self, names: Sequence[str]) -> str | None:
         """Return what a folder with these names holds, and what to do."""
@@ -65,6 +72,23 @@ class CubeSensor:
             of_file=self.of_file,
             part=self.part,
         )
+
+
+def _mask(tree: FileTree, name: str, array: str) -> str | None:
+    """Return the array of a file of this name, * standing for any text, if it is there."""
+    for candidate in tree.names:
+        if fnmatchcase(name_in(candidate), name):
+            with tree.open_hdf5(candidate) as file:
+                if array in file:
+                    return tree.array_uri(candidate, array)
+    return None
+
+
+def _prisma_mask(scene: re.Match[str]) -> tuple[str, str]:
+    """Return the mask of clouds: level 1 has one, on whose pixels levels 2B and 2C lie too."""
+    array = "/HDFEOS/SWATHS/PRS_L1_HCO/Data Fields/Cloud_Mask"
+    level = scene["level"].upper()
+    return {"L1": scene[0], "L2D": ""}.get(level, f"PRS_L1_*_{scene['time']}_*.he5"), array
 
 
 def _prisma(file: Any) -> Bands:  # noqa: ANN401  # h5py has no types
@@ -92,13 +116,17 @@ def _emit(file: Any) -> Bands:  # noqa: ANN401  # h5py has no types
 
 PRISMA: Final = CubeSensor(
     "PRISMA",
-    re.compile(r"PRS_(?P<level>L1|L2B|L2C|L2D)_[A-Z_]{1,20}_\d{14}_\d{14}_\d{4}\.he5", re.IGNORECASE),
+    re.compile(
+        r"PRS_(?P<level>L1|L2B|L2C|L2D)_[A-Z_]{1,20}_(?P<time>\d{14}_\d{14})_\d{4}\.he5", re.IGNORECASE
+    ),
     _prisma,
+    _prisma_mask,
 ).kind()
 """The kind of all scenes of PRISMA."""
 EMIT: Final = CubeSensor(
     "EMIT",
-    re.compile(r"EMIT_(?P<level>L2A)_RFL_\d{3}_\d{8}T\d{6}_\d{7}_\d{3}\.nc", re.IGNORECASE),
+    re.compile(r"EMIT_(?P<level>L2A)_RFL_(?P<scene>\d{3}_\d{8}T\d{6}_\d{7}_\d{3})\.nc", re.IGNORECASE),
     _emit,
+    lambda scene: (f"EMIT_L2A_MASK_{scene['scene']}.nc", "/mask"),
 ).kind()
 """The kind of all scenes of EMIT's reflectance."""

@@ -22,7 +22,7 @@ from pcwlad_geo.raster.trust.local_files import OnDisk, Stamp
 _URI: Final = re.compile(r'HDF5:"?(?P<file>[^"]+?)"?:/(?P<array>/[^"]+)')
 """GDAL's name of an array, spaces of whose path it writes as underscores."""
 _PRISMA: Final = re.compile(r"/HDFEOS/SWATHS/PRS_L(?P<level>1|2B|2C|2D)_HCO/Data Fields/(?:VNIR|SWIR)_Cube")
-_EMIT: Final = "/reflectance"
+_EMIT: Final = ("/reflectance", "/mask")
 _CORNERS: Final = (
     *("Product_ULcorner_easting", "Product_ULcorner_northing"),
     *("Product_LRcorner_easting", "Product_LRcorner_northing"),
@@ -67,7 +67,7 @@ def as_vrt(uri: str) -> str | None:
     array = match["array"].replace("Data_Fields", "Data Fields") if match else ""
     if match is None:
         return None
-    if not (array == _EMIT or _PRISMA.fullmatch(array)):
+    if not (array in _EMIT or _PRISMA.fullmatch(array)):
         return swath_vrt(match["file"], array)
     if tuple(map(int, rasterio.__gdal_version__.split(".")[:2])) < CUBES.gdal:
         raise InputError(
@@ -91,19 +91,19 @@ def _vrt(path: str, array: str, _: Stamp) -> str | None:
             rows, cols, bands = values.shape
             view = ":,:,{}"
         kind = {"u2": "UInt16", "f4": "Float32"}[values.dtype.str[1:]]
-        place = (
-            _geotransform(file, (rows, cols))
-            if prisma and prisma["level"] == "2D"
-            else _geolocation(file, path, array, prisma is not None)
-        )
+        if prisma and prisma["level"] == "2D":
+            place = _geotransform(file, (rows, cols))
+        else:  # a mask counts by its pixels
+            place = "" if array == "/mask" else _geolocation(file, path, array, prisma is not None)
     nodata = 0 if prisma else CUBES.fill
     source = (
         "<ArraySource><DerivedArray><SingleSourceArray><SourceFilename>"
         f"{escape(str(Path(path).absolute()))}</SourceFilename><SourceArray>{escape(array)}</SourceArray>"
         '</SingleSourceArray><Step><View expr="[{}]"/></Step></DerivedArray></ArraySource>'
     )
+    described = "<Description>EMIT mask</Description>" if array == "/mask" else ""
     parts = (
-        f'<VRTRasterBand dataType="{kind}" band="{band + 1}"><NoDataValue>{nodata}</NoDataValue>'
+        f'<VRTRasterBand dataType="{kind}" band="{band + 1}">{described}<NoDataValue>{nodata}</NoDataValue>'
         f"{source.format(view.format(band))}</VRTRasterBand>"
         for band in range(bands)
     )

@@ -164,6 +164,9 @@ def describe(
         )
     if info.mask_uri is not None:
         described = describe(info.mask_uri)
+        if info.grid.swath_uri and described.grid.swath_uri:  # it has the pixels of the swath
+            plain = Grid(described.grid.shape, Affine.identity(), None)
+            described = replace(described, grid=plain, georeferenced=False)
         _check_mask(info, described)
         with open_raster(info.mask_uri) as dataset:
             kind = kind_of(info.mask_uri, dataset.descriptions, dataset.dtypes)

@@ -1,7 +1,7 @@
 """PRISMA and EMIT, on files that the tests write in the structure of the published format.
 
 They have the names, axes, attributes and types of the delivered files, a few bands and small images. They
-cannot show how delivered files are cut into chunks, how well their geolocation fits, or their masks.
+cannot show how delivered files are cut into chunks, or how well their geolocation fits.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.products.finding import find_product
+from pcwlad_geo.products.product import Product
 from pcwlad_geo.raster import WGS84, FileTree, Trust, describe, open_raster, transform_xy, trusting
+from pcwlad_geo.raster.masks import accepted, bands_of
 from tests.scenes import make_grid, render, write
 from tests.swaths import pixels
 
@@ -29,6 +31,7 @@ QUICK: Any = {"template": 61, "window": 41, "features": 80, "model": "shift", "n
 CHECKED: Any = {"template": 61, "window": 41, "features": 80}
 L2D = "PRS_L2D_STD_20200101100000_20200101100004_0001.he5"
 EMIT = "EMIT_L2A_RFL_001_20220903T163129_2224611_012.nc"
+CLOUD = (slice(60, 110), slice(50, 100))
 VNIR_NM, SWIR_NM = [0.0, 850.0, 660.0, 550.0], [2200.0, 1600.0, 950.0]
 
 
@@ -63,11 +66,20 @@ def write_prisma(path: Path, level: str = "2D", *, centres: bool = True) -> Path
             file.attrs["Epsg_Code"] = np.uint32(32633)
             return path
         ending = "_VNIR" if level == "1" else ""
+        if level == "1":
+            swath["Data Fields/Cloud_Mask"] = clouds({0: 10, 1: 1})
         for name, values in zip(("Longitude", "Latitude"), geolocation(), strict=True):
             swath.create_dataset(f"Geolocation Fields/{name}{ending}", data=values.astype("f4"))
             if level == "1":
                 swath.create_dataset(f"Geolocation Fields/{name}_SWIR", data=values.astype("f4"))
     return path
+
+
+def clouds(values: dict[int, int]) -> np.ndarray:
+    """Return clouds on the pixels of the scene, with the values of 0 (clear ground) and 1."""
+    mask = np.full(GRID.shape, values[0], "u1")
+    mask[CLOUD] = values[1]
+    return mask
 
 
 def geolocation() -> np.ndarray:
@@ -130,6 +142,44 @@ def product_uri(scene: Path) -> str:
     product = find_product(scene)
     assert product is not None
     return product.bands[0].uri
+
+
+def masked(product: Product, kind: str) -> None:
+    """Check that the mask of a product excludes the clouds, and nothing else."""
+    band = product.bands[0]
+    info = describe(band.opened_as(), band=band.number, mask=product.mask)
+    assert info.mask_kind == kind
+    with open_raster(str(product.mask)) as file:
+        clear = accepted(info.mask_kind, file.read(bands_of(info.mask_kind)))
+    np.testing.assert_array_equal(clear, clouds({0: 1, 1: 0}))
+
+
+def test_clouds_of_prisma_are_those_of_level_1(tmp_path: Path) -> None:
+    raw, better = (tmp_path / f"PRS_L{level}_STD_{L2D[12:]}" for level in ("1", "2C"))
+    write_prisma(better, "2C")
+    product = find_product(better)
+    assert product is not None
+    assert product.notes(masked=False)[0].endswith(
+        f"(PRS_L1_*_{L2D[12:-9]}_*.he5): its clouds are not masked"
+    )
+    write_prisma(raw, "1")
+    for path in (raw, better):
+        product = find_product(path)
+        assert product is not None
+        masked(product, "Cloud_Mask")
+
+
+def test_clouds_of_emit_lie_in_a_file_of_their_own(tmp_path: Path) -> None:
+    scene = write_emit(tmp_path / EMIT)
+    with h5py.File(tmp_path / EMIT.replace("RFL", "MASK"), "w") as file:
+        bands = np.zeros((*GRID.shape, 8), "f4")
+        bands[..., 4], bands[..., 2], bands[..., 5] = clouds({0: 0, 1: 1}), 1, 0.3
+        file["mask"] = bands
+        file["location/lon"] = file["location/lat"] = np.zeros(GRID.shape)
+    for path in (scene, tmp_path):
+        product = find_product(path)
+        assert product is not None
+        masked(product, "EMIT mask")
 
 
 @pytest.mark.parametrize("level", ["1", "2C"])
