@@ -24,7 +24,8 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.files import OUTPUT_NAMES
 from pcwlad_geo.outputs.folder import OutputFolder, place_output
 from pcwlad_geo.outputs.write import Written, write
-from pcwlad_geo.pair_job import Command, OutputPlaces, PairJob
+from pcwlad_geo.pair_job import JOB_OF, Command, OutputPlaces, PairJob, output_folder
+from pcwlad_geo.products.unpacking import unpacked
 from pcwlad_geo.raster import check_unchanged, trusting
 from pcwlad_geo.raster.scratch import file_of
 from pcwlad_geo.registration import check_output, resolve
@@ -204,11 +205,17 @@ def write_pair(
     are those of `register`, but a requirement that is not met is no error here.
     """
     requirements = parse_requirements(settings.require, command)
-    with warnings.catch_warnings(), trusting(settings.trust):
+    out_dir = output_folder(names[1], JOB_OF[command], places.get("out_dir"))
+    places = {**places, "out_dir": out_dir}
+    with (
+        warnings.catch_warnings(),
+        trusting(settings.trust),
+        unpacked(names, out_dir, overwrite=overwrite) as (reference, target),
+    ):
         # Filters belong to the process, and rasterio swaps them: this one is set before there are threads,
         # and without the lock of `ignoring`, for which these would wait.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        job = PairJob.of(command, names, settings, places, overwrite=overwrite)
+        job = PairJob.of(command, (reference, target), settings, places, overwrite=overwrite)
         job.check_outputs()
         with (
             OutputFolder(job.folder, overwrite=overwrite, inputs=job.files) as folder,

@@ -17,6 +17,7 @@ from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
+from pcwlad_geo.products.unpacking import unpacked
 from pcwlad_geo.raster import check_unchanged, trusting
 from pcwlad_geo.raster.scratch import file_of
 from pcwlad_geo.types import PathLike
@@ -97,7 +98,13 @@ def prove(
         results=PROOF_NAMES["numbers"],
         inputs=[*names, *settings.files],
     )
-    with warnings.catch_warnings(), trusting(settings.trust), place as folder:
+    with (
+        warnings.catch_warnings(),
+        trusting(settings.trust),
+        unpacked(names, place.out_dir, overwrite=overwrite) as (reference, target),
+        place as folder,
+    ):
+        names = (reference, target)
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # of tiles; before there are threads
         from pcwlad_geo.registration import prove_pair, resolve  # slow to load
         from pcwlad_geo.report.json_content import to_json

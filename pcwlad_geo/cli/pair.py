@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -14,7 +13,7 @@ from pcwlad_geo.cli.tables import columns
 from pcwlad_geo.errors import RequirementError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import OUTPUT_OPTIONS, Settings
-from pcwlad_geo.text import check_exists, part_of_jpeg, plain, visible
+from pcwlad_geo.text import check_exists, plain, visible
 
 if TYPE_CHECKING:  # slow to load: a mistake is reported before
     from pcwlad_geo.pair_job import Command, Job
@@ -53,7 +52,7 @@ def run_pair(command: Command, params: Mapping[str, Any]) -> None:
 
 
 def do_pair(command: Command, params: Mapping[str, Any], on_event: EventCallback) -> Ending:
-    """Do a job on one pair, and return its result; `params` are those of its command."""
+    """Do a job on one pair, files or parts of JPEGs; return its result. `params` are those of its command."""
     settings = Settings.from_options(collect(params, params["config"]))
     names = (params["reference"], params["target"])
     for name in names:
@@ -61,34 +60,17 @@ def do_pair(command: Command, params: Mapping[str, Any], on_event: EventCallback
     from pcwlad_geo.job import write_pair  # slow to load
 
     places: dict[str, Any] = {name: params[name] for name in ("out_dir", *OUTPUT_OPTIONS) if name in params}
-    with _unpacked(command, names, places, params["overwrite"]) as files:
-        written = write_pair(
-            command,
-            files,
-            settings,
-            places,  # type: ignore[arg-type]  # its keys
-            overwrite=params["overwrite"],
-            on_event=on_event,
-        )
+    written = write_pair(
+        command,
+        names,
+        settings,
+        places,  # type: ignore[arg-type]  # its keys
+        overwrite=params["overwrite"],
+        on_event=on_event,
+    )
     outcome = Outcome(written.report, written.paths)
     status = RequirementError.exit_status if written.report.passed is False else 0
     return Ending(outcome.figures(), visible(outcome.text()), status)
-
-
-@contextmanager
-def _unpacked(
-    command: Command, names: tuple[str, str], places: dict[str, Any], overwrite: bool
-) -> Iterator[tuple[str, str]]:
-    """Give the names of a pair, of parts of radiometric JPEGs those of the files that they are written to."""
-    if not any(map(part_of_jpeg, names)):
-        yield names
-        return
-    from pcwlad_geo.pair_job import JOB_OF, output_folder
-    from pcwlad_geo.rigs.jpeg_parts import unpacked
-
-    places["out_dir"] = output_folder(names[1], JOB_OF[command], places["out_dir"])
-    with unpacked(names, places["out_dir"], overwrite=overwrite) as files:
-        yield files
 
 
 def abandon_pair(job: Job, params: Mapping[str, Any]) -> None:

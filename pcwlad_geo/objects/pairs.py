@@ -11,12 +11,12 @@ from pcwlad_geo.events import EventCallback
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.job import open_pair_runner
 from pcwlad_geo.options import Settings
+from pcwlad_geo.products.jpeg_parts import part_files
 from pcwlad_geo.raster import check_unchanged, trusting
 from pcwlad_geo.raster.arrays import RasterLike
 from pcwlad_geo.raster.raster import Raster
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.registration import Matches, Pair, match_pair, prepare_pair
-from pcwlad_geo.rigs.jpeg_parts import part_files
 
 OF_THE_FOLDER: Final = (
     *("require", "keep", "pdf", "no_report", "write_sigma", "write_displacement", "write_proj_grid"),

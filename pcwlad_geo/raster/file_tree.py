@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import lzma
 import os
 import re
+import shutil
 import tarfile
 import zipfile
 import zlib
@@ -15,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Final
 
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.limits import LIMITS, check_count, check_unpacked
 from pcwlad_geo.raster.hdf5 import array_uri, open_hdf5
 from pcwlad_geo.raster.opening import check_source
@@ -88,6 +90,19 @@ class FileTree:
         except (KeyError, *_ARCHIVE_ERRORS) as error:
             raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
         return data.decode("utf-8", errors="replace")
+
+    def unpack(self, name: str, folder: Path) -> Path:
+        """Write a file of an archive into a folder, under its own name, and return its path.
+
+        Raises `InputError` if it cannot be read, and `OutputError` if it cannot be written.
+        """
+        place = folder / name_in(name)
+        try:
+            with _opened_member(_Archive.of(self.path), name) as member, _written(place) as file:
+                shutil.copyfileobj(member, file, 2**20)
+        except (KeyError, *_ARCHIVE_ERRORS) as error:
+            raise InputError(f"{name} of {self.path} cannot be read: {error}") from error
+        return place
 
     @contextmanager
     def open_hdf5(self, name: str) -> Iterator[h5py.File]:
@@ -197,12 +212,31 @@ def _members(archive: _Archive) -> Mapping[str, _Member]:
 
 @lru_cache(maxsize=16)
 def _member(archive: _Archive, name: str) -> bytes:
+    with _opened_member(archive, name) as member:
+        return _small(member, name)
+
+
+@contextmanager
+def _opened_member(archive: _Archive, name: str) -> Iterator[IO[bytes]]:
+    stored = _members(archive)[name].stored
     if archive.zipped:
-        with zipfile.ZipFile(archive.path) as file, file.open(name) as member:
-            return _small(member, name)
-    with tarfile.open(archive.path) as tar:
-        stream = tar.extractfile(_members(archive)[name].stored)
-        return _small(stream, name) if stream else b""
+        with zipfile.ZipFile(archive.path) as file, file.open(stored) as member:
+            yield member
+    else:
+        with tarfile.open(archive.path) as tar:
+            yield tar.extractfile(stored) or io.BytesIO()
+
+
+@contextmanager
+def _written(place: Path) -> Iterator[IO[bytes]]:
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        partial = place.with_name(f"{place.name}.part")
+        with partial.open("wb") as file:
+            yield file
+        partial.replace(place)
+    except OSError as error:
+        raise OutputError(f"cannot write {place}: {error}") from error
 
 
 def _small(member: IO[bytes], name: str) -> bytes:

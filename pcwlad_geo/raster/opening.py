@@ -195,7 +195,7 @@ def _why_not_opened(uri: str, error: Exception) -> str:
     except (OSError, ValueError):  # too long or odd for a path, as GDAL URIs may be
         pass
     if part_of_jpeg(uri):
-        return f"{uri} is a part of a JPEG, which only register and match take: give the file that they wrote"
+        return f"{uri} is a part of a JPEG, which is not taken here: give the file that register wrote"
     if is_uri(uri):
         return f"{uri} cannot be opened: {joined(error)}"
     return f"{uri} does not exist: check the path"

@@ -6,7 +6,7 @@ GDAL reads EXIF, but writes none to a TIFF. So the directories are read here, an
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.products.jpeg_segments import segments
 
 ByteOrder = Literal["<", ">"]
 SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
@@ -151,15 +152,6 @@ def exif_of_jpeg(directory: Directory) -> bytes:
     """Return the tags of a `directory` as the EXIF segment of a JPEG."""
     head = (b"II*\0" if directory.order == "<" else b"MM\0*") + struct.pack(f"{directory.order}I", 8)
     return EXIF_HEAD + head + directory.packed(8)
-
-
-def segments(block: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the markers and the contents of the segments before the pixels of a JPEG."""
-    place = 2
-    while place + 4 <= len(block) and block[place] == 0xFF and block[place + 1] != 0xDA:
-        size = struct.unpack_from(">H", block, place + 2)[0]
-        yield block[place + 1], block[place + 4 : place + 2 + size]
-        place += 2 + max(size, 2)
 
 
 def tags_of_jpeg(block: bytes) -> tuple[Directory, bytes]:

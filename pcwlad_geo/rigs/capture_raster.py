@@ -13,6 +13,7 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
+from pcwlad_geo.products.temperatures import ZERO_C_K
 from pcwlad_geo.raster import open_raster
 from pcwlad_geo.raster.gdal import ignoring, reading
 from pcwlad_geo.raster.stored_pixels import check_dataset
@@ -20,7 +21,6 @@ from pcwlad_geo.rigs.captures import Capture, Frame
 from pcwlad_geo.rigs.placing import Placement
 from pcwlad_geo.rigs.rig import Rig, RigLens
 from pcwlad_geo.rigs.split import write_frame
-from pcwlad_geo.rigs.temperatures import ZERO_C_K
 from pcwlad_geo.rigs.warping import map_places, resampled
 from pcwlad_geo.types import Float32
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import LIMITS
+from pcwlad_geo.products.temperatures import Maker, maker_of, problem_of, temperatures_k
 from pcwlad_geo.raster import is_folder, open_raster, plain_name
 from pcwlad_geo.raster.cameras import camera_of, exif_of, xmp_of
 from pcwlad_geo.raster.stored_pixels import check_dataset
 from pcwlad_geo.rigs.calibration import floats_in, stated_lens
 from pcwlad_geo.rigs.lens import Lens
-from pcwlad_geo.rigs.temperatures import Maker, maker_of, problem_of, temperatures_k
 from pcwlad_geo.types import Float32, Float64, PathLike
 
 ENDINGS: Final = (".tif", ".tiff", ".jpg", ".jpeg", ".png")

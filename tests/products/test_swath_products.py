@@ -7,6 +7,7 @@ size allows. They cannot show the geolocation, relief, noise and chunks of deliv
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from pcwlad_geo.job import match_files
 from pcwlad_geo.multi.qa import run as qa_run
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
+from pcwlad_geo.products.unpacking import unpacked
 from pcwlad_geo.raster import WGS84, describe, open_raster, transform_xy
 from pcwlad_geo.registration import resolve
 from tests.product_files import packed
@@ -183,8 +185,23 @@ def test_a_swath_without_its_mask_is_warned_of(ecostress: Path, tmp_path: Path) 
         (tmp_path / name).symlink_to(ecostress / name)
     notes = resolve(tmp_path, tmp_path, Settings(ref_band="LST", tgt_band="LST")).notes
     assert any(f"no quality raster (ECOv002_L2_CLOUD_{SCENE}_*.h5)" in note for note in notes)
+
+
+@pytest.mark.parametrize("ending", [".zip", ".tar"])
+def test_an_archive_is_unpacked_beside_the_results(ecostress: Path, tmp_path: Path, ending: str) -> None:
+    for name in (LST, GEO):
+        (tmp_path / "scene").mkdir(exist_ok=True)
+        shutil.copy(ecostress / name, tmp_path / "scene")
+    archive = packed(tmp_path / "scene", ending)
     with pytest.raises(InputError, match="unpack it"):
-        find_product(packed(tmp_path, ".zip"))
+        find_product(archive)
+    with unpacked(["other.tif", archive], tmp_path / "out", overwrite=False) as (other, folder):
+        assert other == "other.tif"
+        found = find_product(folder)
+        assert found is not None
+        assert [band.name for band in found.bands] == ["LST"]
+        assert sorted(path.name for path in (tmp_path / "out_inputs" / "scene").iterdir()) == [GEO, LST]
+    assert not (tmp_path / "out_inputs").exists()
 
 
 def test_modis_says_why_it_is_not_read(tmp_path: Path) -> None:

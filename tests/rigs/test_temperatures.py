@@ -18,9 +18,9 @@ from benchmarks.rig_scenes import made_thermal
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.execution.runner import InThisProcess
+from pcwlad_geo.products.temperatures import DJI_LIBRARY, maker_of
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.rigs.captures import find_frames, group, read_frame, read_frame_facts
-from pcwlad_geo.rigs.temperatures import DJI_LIBRARY, maker_of
 from tests.rigs import rigs
 from tests.rigs.camera_files import dji, flir, jpeg, values_of, with_flyr
 

@@ -29,6 +29,7 @@ from pcwlad_geo.multi.batch.to_place import write_to_place
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
+from pcwlad_geo.products.unpacking import unpacked_places
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.registration import estimate_tile_count
 from pcwlad_geo.report.finished import read_report, report_of_same_job
@@ -345,7 +346,10 @@ def _done_before(pair: BatchPair) -> PairOutcome | None:
 
 def _earlier(pair: BatchPair) -> PairOutcome | None:
     """Return the outcome that an earlier run of the same job has reported; raise where it is damaged."""
-    report = report_of_same_job("register", (pair.reference, pair.target), pair.settings, pair.out_dir)
+    names = [pair.reference, pair.target]
+    for number, place in unpacked_places(names, pair.out_dir).items():
+        names[number] = str(place)
+    report = report_of_same_job("register", (names[0], names[1]), pair.settings, pair.out_dir)
     status = report.get("status")
     if status == "registered":
         return _registered(pair, report, before=True)

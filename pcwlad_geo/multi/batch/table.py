@@ -18,7 +18,7 @@ from pcwlad_geo.option_text import to_setting
 from pcwlad_geo.options import NOT_IN_TABLES, OUTPUT_OPTIONS, RUNNING, SETTINGS, Settings
 from pcwlad_geo.pair_job import output_folder
 from pcwlad_geo.requirements import parse_requirements
-from pcwlad_geo.text import read_text
+from pcwlad_geo.text import part_of_jpeg, read_text
 from pcwlad_geo.types import PathLike
 
 PAIR_COLUMNS: Final = (
@@ -193,7 +193,8 @@ def _pair(
 def _located(name: str, folder: Path) -> str:
     """Return a path relative to the table's folder as absolute; GDAL URIs are unchanged."""
     path = folder / name
-    return name if ":" in name and not path.exists() else str(path)
+    is_path = ":" not in name or path.exists() or part_of_jpeg(name)
+    return str(path) if is_path else name
 
 
 def _free(folder: Path, keys: set[str], numbers: dict[str, int]) -> Path:

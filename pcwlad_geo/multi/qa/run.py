@@ -34,6 +34,7 @@ from pcwlad_geo.multi.qa.requirements import (
 from pcwlad_geo.options import Settings
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import stem_of
+from pcwlad_geo.products.unpacking import unpacked
 from pcwlad_geo.raster import FileIdentity, check_unchanged, identify, plain_name, trusting
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
@@ -133,40 +134,42 @@ def qa(
     requirements = [read_requirement(text) for text in settings.require]
     requirements += [rule for name in dict.fromkeys(preset) for rule in preset_requirements(name)]
     numbers = parse_bands(bands) if isinstance(bands, str) else bands
-    with trusting(settings.trust):
-        stack = with_native_px(list_bands(rasters, numbers, mask), native_px)
-    base = find_band(stack, against) if against is not None else None
-    planned = list(combinations(stack, 2))
-    if base is not None:
-        planned = [(base, band) for band in stack if band.name != base.name]
-    requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
     folder = OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=QA_FILES["numbers"])
-    with trusting(settings.trust), folder:
-        inputs = _identify(stack)
-        pairs = _measure(planned, settings, on_event, executor)
-        window_px = max((pair.window_px for pair in pairs), default=0)
-        triangles = close_triangles(stack, pairs, window_px) if base is None else []
-        if (note := closure_note(triangles)) is not None:
-            on_event(Warned(note))
-        verdicts = [
-            judge_triangles(rule, triangles) if rule.rule.statistic == "closure" else judge_pairs(rule, pairs)
-            for rule in requirements
-        ]
-        result = QaResult(
-            bands=tuple(stack),
-            against=base,
-            pairs=tuple(pairs),
-            triangles=tuple(triangles),
-            verdicts=tuple(verdicts),
-            settings=settings,
-            seconds=time.perf_counter() - started,
-            out_dir=folder.out_dir,
-            inputs=inputs,
-        )
-        with folder.writing():
-            write_results(result, folder)
-        check_unchanged(inputs)
-        folder.commit()
+    with trusting(settings.trust), unpacked(rasters, folder.out_dir, overwrite=overwrite) as files:
+        stack = with_native_px(list_bands(files, numbers, mask), native_px)
+        base = find_band(stack, against) if against is not None else None
+        planned = list(combinations(stack, 2))
+        if base is not None:
+            planned = [(base, band) for band in stack if band.name != base.name]
+        requirements = check_applicable(requirements, planned, base is None and len(stack) > 2)
+        with folder:
+            inputs = _identify(stack)
+            pairs = _measure(planned, settings, on_event, executor)
+            window_px = max((pair.window_px for pair in pairs), default=0)
+            triangles = close_triangles(stack, pairs, window_px) if base is None else []
+            if (note := closure_note(triangles)) is not None:
+                on_event(Warned(note))
+            verdicts = [
+                judge_triangles(rule, triangles)
+                if rule.rule.statistic == "closure"
+                else judge_pairs(rule, pairs)
+                for rule in requirements
+            ]
+            result = QaResult(
+                bands=tuple(stack),
+                against=base,
+                pairs=tuple(pairs),
+                triangles=tuple(triangles),
+                verdicts=tuple(verdicts),
+                settings=settings,
+                seconds=time.perf_counter() - started,
+                out_dir=folder.out_dir,
+                inputs=inputs,
+            )
+            with folder.writing():
+                write_results(result, folder)
+            check_unchanged(inputs)
+            folder.commit()
     return result
 
 

@@ -48,6 +48,7 @@ from pcwlad_geo.multi.stack.search import stac_images
 from pcwlad_geo.multi.stack.web_map import Named, with_web_map
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.products.finding import products_found_once
+from pcwlad_geo.products.unpacking import unpacked
 from pcwlad_geo.raster import trusting
 from pcwlad_geo.types import PathLike
 
@@ -138,7 +139,11 @@ def stack(
     if gcps is not None and datum == "mean":
         raise SettingsError("datum = 'mean' and control points are two datums: give one of them")
     out = OutputFolder(job.folder, overwrite=True, results=STACK_FILE, inputs=images)
-    with trusting(job.settings.trust), out:
+    with (
+        trusting(job.settings.trust),
+        unpacked(images, job.folder, overwrite=overwrite) as images,
+        out,
+    ):
         named_images = Named.of(images, reference)
         images, reference = with_reference(named_images.images, named_images.reference, band)
         more = () if stac is None else stac_images(stac, job.settings.ref_band, job.settings.trust)

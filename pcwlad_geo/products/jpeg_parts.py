@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -15,9 +13,16 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.products.temperatures import (
+    ZERO_C_K,
+    Maker,
+    maker_of,
+    problem_of,
+    temperatures_k,
+    unpacked_flir,
+)
 from pcwlad_geo.raster.raster import Raster
 from pcwlad_geo.raster.scratch import Scratch
-from pcwlad_geo.rigs.temperatures import ZERO_C_K, Maker, maker_of, problem_of, temperatures_k, unpacked_flir
 from pcwlad_geo.text import check_exists, check_regular, part_of_jpeg
 
 
@@ -51,34 +56,21 @@ def part_files(rasters: Sequence[object], scratch: Scratch) -> list[object]:
     """
     named = [part_of_jpeg(raster) if isinstance(raster, str) else None for raster in rasters]
     parts = {number: _read(*name) for number, name in enumerate(named) if name is not None}
-    places = _places([*parts.values()])
-    files, used = list(rasters), set[str]()
-    for number, part in parts.items():
-        stem = f"{Path(part.file).stem}_{part.part}"
-        name = f"{stem}_{number + 1}" if stem in used else stem
-        used.add(name)
+    places, files = _places([*parts.values()]), list(rasters)
+    for (number, part), stem in zip(parts.items(), part_stems(rasters).values(), strict=True):
         unit = "degree_Celsius" if part.part == "thermal" else None
-        files[number] = scratch.file_of(Raster(part.pixels, places.get(part.part)), name, unit=unit)
+        files[number] = scratch.file_of(Raster(part.pixels, places.get(part.part)), stem, unit=unit)
     return files
 
 
-@contextmanager
-def unpacked(names: tuple[str, str], out_dir: Path, *, overwrite: bool) -> Iterator[tuple[str, str]]:
-    """Write the parts of radiometric JPEGs to ``<out_dir>_inputs``, as files of the results refer to them.
-
-    They are removed where the job within the context leaves no `out_dir`. Raises `OutputError` if they exist,
-    and `overwrite` is False, or cannot be written.
-    """
-    scratch, folder = Scratch(), Path(f"{out_dir}_inputs")
-    files = [str(file) for file in part_files(names, scratch)]
-    places = [
-        scratch.copy(file, folder, overwrite=overwrite) if scratch.holds(file) else file for file in files
-    ]
-    try:
-        yield places[0], places[1]
-    finally:
-        if not out_dir.exists():
-            shutil.rmtree(folder, ignore_errors=True)
+def part_stems(rasters: Sequence[object]) -> dict[int, str]:
+    """Return the names, without ending, of the files of parts of radiometric JPEGs, by their numbers."""
+    stems: dict[int, str] = {}
+    for number, raster in enumerate(rasters):
+        if isinstance(raster, str) and (name := part_of_jpeg(raster)):
+            stem = f"{Path(name[0]).stem}_{name[1]}"
+            stems[number] = f"{stem}_{number + 1}" if stem in stems.values() else stem
+    return stems
 
 
 def _read(file: str, part: str) -> _Part:

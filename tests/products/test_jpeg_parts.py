@@ -14,9 +14,10 @@ from rasterio.errors import NotGeoreferencedWarning
 
 import pcwlad_geo as pg
 from pcwlad_geo.errors import InputError
+from pcwlad_geo.products.jpeg_parts import part_files
+from pcwlad_geo.products.unpacking import unpacked
 from pcwlad_geo.raster.gdal import ignoring
 from pcwlad_geo.raster.scratch import Scratch
-from pcwlad_geo.rigs.jpeg_parts import part_files
 from tests.cli.process import Result
 from tests.rigs.camera_files import dji, flir, jpeg, with_flyr
 from tests.scenes import make_grid, render
@@ -90,15 +91,55 @@ def test_what_has_no_such_part_is_told(tmp_path: Path, monkeypatch: pytest.Monke
         pg.match(str(tmp_path / "flir.jpg:visible"), grey)
 
 
-def test_a_refused_job_leaves_no_files_of_the_parts(
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("register SHOT:visible SHOT:thermal --ref-band 9", "shot_visible.tif holds 3 bands"),
+        ("match SHOT:visible SHOT:thermal --ref-band 9", "shot_visible.tif holds 3 bands"),
+        ("prove SHOT:visible SHOT:thermal --ref-band 9", "shot_visible.tif holds 3 bands"),
+        ("qa SHOT:visible SHOT:thermal --against 9", "'9' is none of the bands: give one of visible band 1"),
+        ("stack SHOT:visible SHOT:thermal --band 9", "shot_visible.tif holds 3 bands"),
+        ("batch pairs.csv", "shot_visible.tif holds 3 bands"),
+    ],
+)
+def test_all_commands_take_parts_and_a_refused_one_leaves_none(
+    command: str,
+    said: str,
+    cli_here: Callable[..., Result],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = shot(tmp_path / "shot.jpg", monkeypatch)
+    (tmp_path / "pairs.csv").write_text(
+        "reference,target,out_dir,ref_band\nshot.jpg:visible,shot.jpg:thermal,out,9\n"
+    )
+    out = () if command.startswith("batch") else ("-o", "out")
+    result = cli_here(*(word.replace("SHOT", str(path)) for word in command.split()), *out)
+    assert result.returncode != 0
+    assert said in result.stderr
+    assert not (tmp_path / "out_inputs").exists()
+
+
+def test_parts_are_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = shot(tmp_path / "shot.jpg", monkeypatch)
+    (tmp_path / "out").mkdir()
+    with unpacked([f"{path}:thermal", "other.tif"], tmp_path / "out", overwrite=False) as (part, other):
+        assert other == "other.tif"
+        written_ns = Path(part).stat().st_mtime_ns
+    monkeypatch.setitem(sys.modules, "flyr", None)
+    with unpacked([f"{path}:thermal"], tmp_path / "out", overwrite=False) as (again,):
+        assert (again, Path(again).stat().st_mtime_ns) == (part, written_ns)
+    with (
+        pytest.raises(InputError, match="install flyr"),
+        unpacked([f"{path}:thermal"], tmp_path / "out", overwrite=True),
+    ):
+        pass
+
+
+def test_what_takes_no_part_says_so(
     cli_here: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = shot(tmp_path / "shot.jpg", monkeypatch)
-    result = cli_here("register", f"{path}:visible", f"{path}:thermal", "-o", "out", "--ref-band", "9")
-    assert result.returncode == 2
-    assert "shot_visible.tif holds 3 bands" in result.stderr
-    assert not (tmp_path / "out_inputs").exists()
-    result = cli_here("warp", "out", f"{path}:thermal")
-    assert result.returncode == 2
-    with pytest.raises(InputError, match="which only register and match take"):
+    assert cli_here("warp", "out", f"{path}:thermal").returncode == 2
+    with pytest.raises(InputError, match="which is not taken here"):
         pg.open(f"{path}:thermal")

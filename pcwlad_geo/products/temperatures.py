@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.rigs.camera_tags import segments
+from pcwlad_geo.products.jpeg_segments import segments
 from pcwlad_geo.types import Float32
 
 Maker = Literal["FLIR", "DJI"]
