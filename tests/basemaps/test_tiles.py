@@ -67,17 +67,19 @@ def tile(folder: Path, row: int, col: int) -> Path:
     return folder / f"row{row}" / f"tile {col} & more.tif"
 
 
-def index_of(folder: Path, name: str = "index.gpkg", column: str = "location") -> Path:
-    """Write an index as gdaltindex does: footprints in degrees, names beside the index."""
+def index_of(
+    folder: Path, name: str = "index.gpkg", column: str = "location", crs: str = "EPSG:4326"
+) -> Path:
+    """Write an index as gdaltindex does: footprints in a CRS, names beside the index."""
     paths = sorted(folder.rglob("*more.tif"))
     boxes = []
     for path in paths:
         with rasterio.open(path) as file:
-            boxes.append(shapely.box(*rasterio.warp.transform_bounds(file.crs, "EPSG:4326", *file.bounds)))
+            boxes.append(shapely.box(*rasterio.warp.transform_bounds(file.crs, crs, *file.bounds)))
     names = np.array([path.relative_to(folder.parent).as_posix() for path in paths], object)
     index = folder.parent / name
     pyogrio.raw.write(
-        index, shapely.to_wkb(np.array(boxes)), [names], [column], crs="EPSG:4326", geometry_type="Polygon"
+        index, shapely.to_wkb(np.array(boxes)), [names], [column], crs=crs, geometry_type="Polygon"
     )
     return index
 
@@ -103,6 +105,21 @@ def test_tiles_give_the_result_of_one_raster(
     read = {file["path"] for file in report["inputs"] if file["role"] == "reference"}
     assert read == {str(used), *(str(tile(tiles, row, col)) for row in (0, 1) for col in (0, 1))}
     assert "reference.vrt" in report["outputs"]
+
+
+def test_a_tile_index_of_gdal_is_a_reference_that_is_trusted(tiles: Path, target: Path) -> None:
+    with rasterio.Env() as environment:
+        if "GTI" not in environment.drivers():
+            pytest.skip("this GDAL has no driver of tile indexes")
+    index_of(tiles, crs=str(WHOLE.crs))
+    described = "<IndexDataset>index.gpkg</IndexDataset><ResX>30</ResX><ResY>30</ResY>"
+    mosaic = Path("mosaic.gti")
+    mosaic.write_text(f"<GDALTileIndexDataset>{described}</GDALTileIndexDataset>")
+    with pytest.raises(InputError, match=r"mosaic.gti names other files or servers: give --trust-vrt"):
+        match_files(mosaic, target, out_dir="match", **QUICK)
+    found = match_files(mosaic, target, out_dir="match", trust_vrt=True, **QUICK)
+    np.testing.assert_allclose(np.median(found.tie_points.displacement_px, axis=0), SHIFT_PX, atol=0.1)
+    assert found.reference.grid.shape == (4 * SIDE, 4 * SIDE)
 
 
 def test_where_a_tile_lacks_there_is_no_data(tiles: Path, target: Path) -> None:
