@@ -157,6 +157,7 @@ def test_a_refused_pair_fails_and_the_rest_is_measured(folder: Path) -> None:
         against="b4",
         require=["mean<=1px"],
         on_event=events.append,
+        prealign="georef",
         **OPTIONS,
     )
     assert [(pair.name, pair.status) for pair in result.pairs] == [
