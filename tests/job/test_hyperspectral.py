@@ -21,7 +21,7 @@ GRID = make_grid((280, 280))
 SHORTWAVE_OFF_PX = (0.3, -0.2)
 NODATA = -32768
 DEAD, CONSTANT = (17, 18), 30
-SMALL = {"template": 61, "window": 81, "features": 250}
+SMALL = {"template": 61, "window": 81, "features": 250, "prealign": "georef"}
 
 
 def cube(bands: int = 40) -> NDArray[np.int16]:

@@ -106,7 +106,7 @@ def test_a_pair_registers_as_without_them(tmp_path: Path, declared: float | None
     target = render(make_grid(), "thermal", displacement_px=shift).astype("float32")
     target[100:104, 60:64] = -3.4028235e38
     paths = write(tmp_path / "r.tif", reference), write(tmp_path / "t.tif", target, declared)
-    points = pg.match(*paths, points=200, prealign="georef")
+    points = pg.match(*paths, points=200, features=400, prealign="georef")
     assert points.matches is not None
     assert len(points.matches.warnings) == (declared is None)
     found = np.median(points.displacement_px, axis=0)

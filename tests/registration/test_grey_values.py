@@ -47,9 +47,17 @@ def error_px(found: Registration) -> Array:
     return points.displacement_px[points.status != "rejected"] - SHIFT_PX
 
 
-@pytest.mark.parametrize("tile_size", [2048, pytest.param(256, marks=pytest.mark.slow)])
-def test_grey_values_register_what_structure_does_not(tile_size: int, tmp_path: Path) -> None:
-    found = register_pair(*pair(tmp_path, bands(1)), Settings(tile_size=tile_size))
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(prealign="georef", features=600),
+        pytest.param(Settings(), marks=pytest.mark.slow),
+        pytest.param(Settings(tile_size=256), marks=pytest.mark.slow),
+    ],
+    ids=["few", "whole", "tiles"],
+)
+def test_grey_values_register_what_structure_does_not(settings: Settings, tmp_path: Path) -> None:
+    found = register_pair(*pair(tmp_path, bands(1)), settings)
     assert found.status == "registered"
     assert found.prealignment.matched_by == "grey values"
     assert any("their grey values" in text for text in found.warnings)
