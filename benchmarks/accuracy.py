@@ -30,6 +30,7 @@ from benchmarks.studies.difference import difference
 from benchmarks.studies.field import displacement_field
 from benchmarks.studies.flight import flight
 from benchmarks.studies.jitter import jitter
+from benchmarks.studies.layers import layers
 from benchmarks.studies.metrology import metrology
 from benchmarks.studies.models import models
 from benchmarks.studies.paper import paper
@@ -81,6 +82,7 @@ STUDIES: dict[str, Study] = {
     "radar": radar,
     "stack": stack,
     "cube": cube,
+    "layers": layers,
     "rpcblock": rpcblock,
     "rig": rig,
     "flight": flight,

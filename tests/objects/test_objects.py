@@ -445,9 +445,9 @@ def test_a_million_vertices_follow_with_their_sigma_in_time(fitted: Fitted) -> N
     random = np.random.default_rng(0)
     shapes = [shapely.Polygon(random.uniform(low, high) + 200 * circle) for _ in range(1000)]
     frame = geopandas.GeoDataFrame(geometry=shapes, crs=GRID.crs.to_wkt())
-    start = time.monotonic()
+    start = time.process_time()
     moved = fitted.fix.warp(frame, sigma_m=True)
-    assert time.monotonic() - start < 20
+    assert time.process_time() - start < 20
     assert len(moved) == 1000
     assert np.isfinite(moved.sigma_m).all()
 
