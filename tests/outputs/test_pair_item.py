@@ -21,7 +21,7 @@ from pcwlad_geo.outputs.stac import EXTENSIONS
 from pcwlad_geo.raster import Grid
 from pcwlad_geo.registration import Inputs, Registration
 from tests.registrations import make_registration, of_files, write_pair
-from tests.stac_rules import FIELDS, check_item
+from tests.stac_rules import FIELDS, check_item, published_schemas
 
 UTM = CRS.from_epsg(32633)
 BIAS_PX, SCATTER_PX, NOISE_PX = np.array([0.2, -0.1]), 0.15, 0.1
@@ -113,6 +113,16 @@ def test_a_job_writes_a_valid_item_and_the_same_tags(tmp_path: Path, monkeypatch
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
     listed = json.loads((tmp_path / "out/report.json").read_text(encoding="utf-8"))["outputs"]
     assert "b10_20240617_item.json" in listed
+
+
+def test_an_item_is_valid_by_the_schemas_as_published(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No package on PyPI ships them, and tests reach no network: they are read where the data has them."""
+    schemas = published_schemas(shared_data / "stac_schemas")
+    if not schemas:
+        pytest.skip(f"no published schemas in {shared_data / 'stac_schemas'}")
+    check_item(registered(tmp_path, monkeypatch), schemas)
 
 
 def test_a_raster_elsewhere_is_named_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
