@@ -158,6 +158,7 @@ def _write(path: Path, values: Float64, place: Affine, crs: CRS, pipelines: dict
         "AREA_OR_POINT": "Point",
         "TYPE": "HORIZONTAL_OFFSET",
         "TIFFTAG_IMAGEDESCRIPTION": "Correction of a raster: from where it draws a place to where it belongs",
+        "TIFFTAG_COPYRIGHT": "As the rasters from which it was made",
         "area_of_use": "The raster that was registered, and its surroundings",
     } | pipelines
     for which in ("source_crs", "target_crs", "interpolation_crs"):

@@ -91,6 +91,7 @@ def test_its_tags_say_what_proj_asks_for(tmp_path: Path) -> None:
             tags = file.tags()
             assert tags["TYPE"] == "HORIZONTAL_OFFSET"
             assert tags["AREA_OR_POINT"] == "Point"
+            assert {"area_of_use", "TIFFTAG_COPYRIGHT", "TIFFTAG_IMAGEDESCRIPTION"} <= tags.keys()
             code = str(file.crs.to_epsg())
             assert {tags[f"{which}_crs_epsg_code"] for which in ("source", "target", "interpolation")} == {
                 code
