@@ -83,8 +83,8 @@ class Product:
     """Whether it is radar: clouds do not hide the ground, and its only band needs no name."""
     of_one_file: bool = False
     """Whether one file holds all bands, so that their numbers choose them too."""
-    apart: bool = False
-    """Whether bands of other files lie on pixels of their own, so that no correction holds for both."""
+    apart: str = ""
+    """Why other files are not corrected with that of a band; empty where they are."""
     mask_file: str = ""
     """Name of the file of the quality raster, for the message where it is missing."""
 
@@ -169,7 +169,7 @@ class Product:
         bands = tuple(band for band in every if band.uri == str(path))
         aliases = {name: band for name, band in self.aliases.items() if band in bands}
         product = replace(self, path=str(path), bands=bands, aliases=aliases, of_one_file=True)
-        return replace(product, missing=(), cirrus=(), apart=False)
+        return replace(product, missing=(), cirrus=(), apart="")
 
     def ground_bands(self) -> tuple[tuple[ProductBand, ...], tuple[str, ...]]:
         """Return the bands that show the ground, and messages about those left out.
@@ -197,11 +197,6 @@ class Product:
             mask_text = f" ({self.mask_file})" if self.mask_file else ""
             warnings.append(
                 f"{self.path} ({self.kind}) has no quality raster{mask_text}: its clouds are not masked"
-            )
-        if self.apart:
-            warnings.append(
-                f"the instruments of {self.path} ({self.kind}) have pixels of their own: only the file of "
-                "the band is corrected; match the other one to it"
             )
         if self.path.lower().endswith("gz"):
             warnings.append(

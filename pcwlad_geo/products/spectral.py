@@ -17,6 +17,11 @@ from pcwlad_geo.raster import FileTree, open_raster
 
 _SPECTRAL_IMAGE: Final = r"SPECTRAL_IMAGE(?:_VNIR|_SWIR)?(?:_COG)?\.(?:tiff?|geotiff|bsq|bil|bip|jp2)"
 _XML: Final = r"METADATA\.XML"
+_INSTRUMENTS: Final = (
+    "its instruments have pixels of their own: only the file of the band is corrected; match the other one "
+    "to it"
+)
+"""What is said of a scene with an image of each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +66,7 @@ class SpectralSensor:
             bands=bands,
             mask=tree.uri(masks[0]) if is_masked and not lacking else None,
             of_one_file=len(images) == 1,
-            apart=len(images) > 1,
+            apart=_INSTRUMENTS if len(images) > 1 else "",
             mask_file=", ".join(lacking) if is_masked else "",
         )
 

@@ -18,6 +18,8 @@ ITEM_BYTES: Final = 2**22
 """A larger JSON file is no item of a format that this program reads."""
 _MASK: Final = re.compile(r"(?:.*_)?(?:SCL|QA_PIXEL|BQA)(?:_\d+m)?\.\w+", re.IGNORECASE)
 """File name of an asset that is a quality raster."""
+_ASSETS: Final = "only the asset of the band is corrected: give the files of others to pcwlad-geo warp"
+"""What is said of an item with several images."""
 
 
 def raster_assets(assets: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -82,7 +84,7 @@ def _product(path: Path, assets: Mapping[str, Any]) -> Product:
         bands=tuple(band for key, band in bands.items() if key in images) or tuple(bands.values()),
         mask=mask_of(assets, path.parent),
         aliases=aliases,
-        apart=True,  # the others may lie on servers
+        apart=_ASSETS if len(images) > 1 else "",  # the others may lie on servers
     )
 
 

@@ -113,6 +113,8 @@ def resolve(reference: PathLike, target: PathLike, settings: Settings, *, all_ba
             f"reference and target are of the same product {os.fspath(target)}: the correction is applied to "
             "all its bands but the reference; it holds for those that lie as the target does",
         )
+    if product and product.apart:
+        notes += (f"{product.path} ({product.kind}): {product.apart}",)
     settings = replace(settings, **ref.changes, **tgt.changes)
     return Inputs(ref.uri, tgt.uri, ref.bands, tgt.bands, settings, notes, other_bands, tgt.file)
 

@@ -14,7 +14,9 @@ from pcwlad_geo.errors import ExecutionError, InputError, SettingsError, TrustEr
 from pcwlad_geo.job import register
 from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.multi.stack.search import stac_images
+from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Trust
+from pcwlad_geo.registration import resolve
 from tests.scenes import make_grid, render, write
 from tests.stac_server import stac_api
 
@@ -110,6 +112,12 @@ def test_two_items_are_a_pair(folder: Path, tmp_path: Path) -> None:
     report = json.loads((tmp_path / "out/report.json").read_text())
     np.testing.assert_allclose(report["displacement_px"]["median"], SHIFTS_PX[1], atol=0.06)
     assert (tmp_path / "out/red1_registered.tif").is_file()
+    assert not any("corrected" in warning for warning in report["warnings"])
+    several = item(1, str(folder / "red1.tif"), nir={"href": "nir1.tif", "type": "image/tiff"})
+    (tmp_path / "several.json").write_text(json.dumps(several))
+    choice = Settings(ref_band="red", tgt_band="red")
+    inputs = resolve(folder / "item0.json", tmp_path / "several.json", choice, all_bands=True)
+    assert any("only the asset of the band is corrected" in note for note in inputs.notes)
     with pytest.raises(InputError, match=r"band nir of .*item0.json \(STAC item\) is missing: it holds red"):
         register(folder / "item0.json", folder / "item1.json", ref_band="nir", tgt_band="red")
     with pytest.raises(InputError, match="say which band by name"):
