@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from osgeo import gdal
+from xdist.scheduler import LoadFileScheduling
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SAMPLE = REPOSITORY / "sample_data"
@@ -36,6 +37,10 @@ PATIENCE_S = 600
 """Bound of every wait: so long that no machine is too slow for it."""
 # in QGIS 3.22 of Debian the wrapper without .bin does not work
 QGIS_PROCESS = shutil.which("qgis_process.bin") or shutil.which("qgis_process") or "qgis_process"
+OTHER_PLUGINS = ("MetaSearch", "db_manager", "grassprovider", "sagaprovider", "otbprovider")
+"""Plugins that come with QGIS and are switched off: each start of it would load them."""
+COSTLY = ("finished: Finished", "quick_python: str")
+"""Fixtures that take seconds, as the tests that share them name them."""
 
 _exit_status = 0
 _kept: list[object] = []
@@ -56,6 +61,18 @@ def qgis(tmp_path_factory: pytest.TempPathFactory) -> None:
     provider = PcwladGeoProvider()
     QgsApplication.processingRegistry().addProvider(provider)
     _kept.extend([application, provider])
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling:
+    """Keep each file in one process, and those that share what takes long to make."""
+    return _Sharing(config, log)
+
+
+class _Sharing(LoadFileScheduling):
+    def _split_scope(self, nodeid: str) -> str:
+        name = nodeid.partition("::")[0]
+        text = Path(__file__).with_name(name).read_text(encoding="utf-8")
+        return next((costly for costly in COSTLY if costly in text), name)
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
@@ -194,6 +211,10 @@ def enabled(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     plugins.mkdir(parents=True)
     with zipfile.ZipFile(built) as archive:
         archive.extractall(plugins)
+    settings = plugins.parents[1] / "QGIS" / "QGIS3.ini"
+    settings.parent.mkdir()
+    off = "".join(f"{name}=false\n" for name in OTHER_PLUGINS)
+    settings.write_text(f"[PythonPlugins]\n{off}", encoding="utf-8")
     call(config, "plugins", "enable", "pcwlad_geo_qgis")
     return config
 
