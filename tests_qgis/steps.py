@@ -90,17 +90,18 @@ def editable(dock: Any) -> Iterator[int]:
 def busy() -> bool:
     """Return whether QGIS has anything to do: tasks, maps to draw, an engine to hear."""
     dock = getattr(plugins.get("pcwlad_geo_qgis"), "dock", None)
+    if not iface.mainWindow().isVisible() or QgsApplication.taskManager().countActiveTasks() > 0:
+        return True
+    if dock is not None and _dock_is_busy(dock):
+        return True
     maps = [iface.mapCanvas(), *more_maps]
     if dock is not None and dock.editor is not None:
         maps.append(dock.editor.view)
+    if any(each.isDrawing() for each in maps):
+        return True
+    # last, as it looks at every child: most looks come while an engine works, and others want the processor
     timers = [timer for each in maps for timer in each.findChildren(QTimer) if timer.isSingleShot()]
-    return (
-        not iface.mainWindow().isVisible()
-        or QgsApplication.taskManager().countActiveTasks() > 0
-        or any(each.isDrawing() for each in maps)
-        or any(timer.isActive() for timer in timers)
-        or (dock is not None and _dock_is_busy(dock))
-    )
+    return any(timer.isActive() for timer in timers)
 
 
 def _dock_is_busy(dock: Any) -> bool:
