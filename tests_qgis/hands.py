@@ -137,12 +137,12 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     seen["again"] = [dock.verdict.text(), shown(dock)["verdict_area"], dock.editor.use_button.isEnabled()]
     root = PROJECT.layerTreeRoot()
     seen["groups"] = [[group.name(), group.itemVisibilityChecked()] for group in root.findGroups()]
-    seen["folders"] = sorted(each.name for each in Path(JOB["target"]).parent.iterdir() if each.is_dir())
-    dock.start()  # from the other page
-    yield 800
-    dock.editor.use()
-    yield from ended(dock)
-    seen["third"] = dock.verdict.text()
+    seen["folders"] = folders()
+
+
+def folders() -> list[str]:
+    """Return the names of the folders of the target's results."""
+    return sorted(each.name for each in Path(JOB["target"]).parent.glob("target_*") if each.is_dir())
 
 
 def keys(editor: Any) -> Iterator[int]:
@@ -177,13 +177,18 @@ def keys(editor: Any) -> Iterator[int]:
 
 
 def refused(dock: Any) -> Iterator[int]:
-    """Align what cannot be aligned, after a pair that could."""
+    """Align what cannot be aligned, after a pair that could; press “Align with these” meanwhile."""
     seen["before the refusal"] = shown(dock)
     (noise,) = add("noise")
-    dock.tabs.setCurrentIndex(0)
     dock.target.setLayer(noise)
-    click(dock.start_button)
+    dock.start()  # from the page of the points
+    yield 800
+    dock.editor.use()
+    runs = dock._runner.running
     yield from ended(dock)
+    seen["while another runs"] = [dock.verdict.text(), folders(), runs]
+    dock.tabs.setCurrentIndex(0)
+    yield 300
     seen["refused"] = [dock.verdict.text(), shown(dock)]
     grab(iface.mainWindow(), "refused_1024")
     dock.align_by(JOB["points"])
@@ -265,9 +270,10 @@ def trusted(dock: Any) -> Iterator[int]:
     click(dock.trust_button)
     yield from ended(dock)
     seen["trusted"] = [dock.verdict.text(), shown(dock)]
-    click(dock.start_button)
+    dock.open_points(JOB["points"])
     yield from ended(dock)
     seen["trusted again"] = dock.verdict.text()
+    dock.tabs.setCurrentIndex(1)
     yield from editable(dock)
     seen["edits the trusted"] = dock.editor.isEnabled()
 
@@ -313,7 +319,7 @@ def themes(dock: Any) -> Iterator[int]:
 
 def closing(dock: Any) -> Iterator[int]:
     """Close the dock with edits and without; save the project; begin another."""
-    editor = dock.editor
+    editor = dock.editor  # its page is shown
     yield from editable(dock)
     editor.switch([3], False)
     yield 500
