@@ -173,11 +173,11 @@ class AlignDock(gui.QgsDockWidget):
             return
         crs = reference.crs() if reference else core.QgsProject.instance().crs()
         where = ",".join(map(repr, self.place.ghost.placement.geotransform(crs)))
-        place = self.out_folder(target, False, [])
-        self._begin([self._job(reference, target, OUTPUT_FOLDER=place, PLACE=where)])
+        self._begin([self._job(reference, target, PLACE=where)])
 
     def _job(self, *pair: core.QgsRasterLayer | None, **more: object) -> Job:
         """Return the job that aligns a pair of layers (reference, target) as chosen."""
+        more.setdefault("OUTPUT_FOLDER", self.out_folder(pair[1], False, []))
         # copies: they may leave the project meanwhile
         reference, target = (layer and layer.clone() for layer in pair)
         if reference is None and self._takes_the_map():
@@ -233,20 +233,17 @@ class AlignDock(gui.QgsDockWidget):
         else:
             self.footer.tell(f"{job.name}: {why}" if job.name else why)
         refused = job.algorithm == REGISTER and bool(report_in(why))
-        if refused:
-            self._refused = job
+        self._refused = job if refused else self._refused
         self.footer.offer(bool(self._untrusted), refused)
 
     def trust(self) -> None:
         """Do again what has failed for want of trust in files."""
-        jobs = self._untrusted
-        self._trusted |= set().union(*map(_sources, jobs))
-        self._begin([self._sure(each) for each in jobs])
+        self._trusted |= set().union(*map(_sources, self._untrusted))
+        self._begin([self._sure(each) for each in self._untrusted])
 
     def _choose_points(self, then: Callable[[str], None]) -> None:
         asked, kinds = tr("Tie points of a file"), tr("Tie points (*.points *.csv *.pts *.txt *.xml)")
-        path, _ = QtWidgets.QFileDialog.getOpenFileName(self, asked, "", kinds)
-        if path:
+        if path := QtWidgets.QFileDialog.getOpenFileName(self, asked, "", kinds)[0]:
             then(path)
 
     def align_by(self, points: str) -> None:
@@ -265,8 +262,8 @@ class AlignDock(gui.QgsDockWidget):
         self._begin([Job(INSTALL, source, self._take_installed)])
 
     def _choose_wheel(self) -> None:
-        path, _ = QtWidgets.QFileDialog.getOpenFileName(self, tr("Wheel of pcwlad-geo"), "", "Wheel (*.whl)")
-        if path:
+        asked, kinds = tr("Wheel of pcwlad-geo"), "Wheel (*.whl)"
+        if path := QtWidgets.QFileDialog.getOpenFileName(self, asked, "", kinds)[0]:
             self.install({"WHEEL": path})
 
     def _choose_source(self) -> None:
@@ -326,14 +323,13 @@ class AlignDock(gui.QgsDockWidget):
                 return
             if path not in sources:
                 project.addMapLayer(pair[name].clone())
-        done = {**told(outcome), "OUTPUT_FOLDER": folder, "WARNINGS": []}
-        self._load(Job(REGISTER, pair, self._load), done)
+        self._load(
+            Job(REGISTER, pair, self._load), {**told(outcome), "OUTPUT_FOLDER": folder, "WARNINGS": []}
+        )
 
     def open_points(self, path: str) -> None:
         """Fit points of a file, such as the Georeferencer's, to the pair, and edit them."""
-        pair = self.reference.currentLayer(), self.target.currentLayer()
-        place = self.out_folder(pair[1], False, [])
-        self._begin([self._job(*pair, OUTPUT_FOLDER=place, TIE_POINTS=path)])
+        self._begin([self._job(self.reference.currentLayer(), self.target.currentLayer(), TIE_POINTS=path)])
 
     def apply_to_others(self) -> None:
         """Correct other bands of the layer as it was corrected."""
@@ -405,8 +401,7 @@ class AlignDock(gui.QgsDockWidget):
     def _align_again(self, points: str, model: str) -> None:
         """Register the pair that was edited with its points."""
         model = "polynomial" if model.startswith("polynomial") else model
-        place = self.out_folder(self._pair[1], False, [])
-        self._begin([self._job(*self._pair, OUTPUT_FOLDER=place, TIE_POINTS=points, MODEL=model)])
+        self._begin([self._job(*self._pair, TIE_POINTS=points, MODEL=model)])
 
     def _close_editor(self) -> None:
         if self.layers.pop("points", None) is not None:
@@ -443,8 +438,7 @@ class AlignDock(gui.QgsDockWidget):
     def _leave(self, ids: list[str]) -> None:
         """Let go of layers that leave the project."""
         gone = {role for role, layer in self.layers.items() if layer.id() in ids}
-        for role in gone:
-            del self.layers[role]
+        self.layers = {role: layer for role, layer in self.layers.items() if role not in gone}
         self.place.forget(ids)
         if "heat" in gone:
             self.heat_button.setChecked(False)

@@ -139,6 +139,11 @@ class PointEditor(QtWidgets.QWidget):
             act()
         return True
 
+    def showEvent(self, event: QtGui.QShowEvent) -> None:
+        """Start the engine, not before: most results are only looked at."""
+        if not self.models.count() and self._session.state() == self._session.ProcessState.NotRunning:
+            self._session.start()
+
     def close_session(self) -> None:
         """End the engine and the tools."""
         self._canvas.extentsChanged.disconnect(self._follow)
@@ -438,8 +443,7 @@ class PointEditor(QtWidgets.QWidget):
     def _choose_file(self) -> None:
         kinds = tr("Georeferencer points (*.points)")
         beside = str(self._folder / f"{Path(self._target.source()).name}.points")
-        path, _ = QtWidgets.QFileDialog.getSaveFileName(self, tr("Save points"), beside, kinds)
-        if path:
+        if path := QtWidgets.QFileDialog.getSaveFileName(self, tr("Save points"), beside, kinds)[0]:
             self.save(path if path.endswith(".points") else path + ".points")
 
 

@@ -16,7 +16,7 @@ GRACE_MS = 2000
 
 
 class Session(QProcess):
-    """A running `pcwlad-geo edit`; never waits, but for its end."""
+    """`pcwlad-geo edit`, once it is started; never waits, but for its end."""
 
     answered = pyqtSignal(dict)
     """What the engine says; the last one is the event `ended`."""
@@ -31,7 +31,8 @@ class Session(QProcess):
         self.setStandardErrorFile(QProcess.nullDevice())
         self.readyReadStandardOutput.connect(self._hear)
         self.stateChanged.connect(self._told)
-        self.start(engine.command[0], [*engine.command[1:], "edit", str(folder), *options])
+        self.setProgram(engine.command[0])
+        self.setArguments([*engine.command[1:], "edit", str(folder), *options])
 
     def ask(self, what: str, **values: object) -> None:
         """Send a request; an engine that has ended says so among its answers."""
