@@ -21,6 +21,7 @@ from qgis.core import (
 from test_window import PICTURES, keep_pictures, run_in_window
 
 ZOOM = 12
+QUICK = {"EXTRA": "--features 200"}
 SIDE_M = 40075016.68557849 / 2**ZOOM
 
 
@@ -93,10 +94,10 @@ def tiles(sample: tuple[Path, Path], tmp_path: Path) -> Iterator[Tiles]:
 def test_the_map_gives_the_result_of_the_raster_it_is_made_of(
     part: tuple[Path, Path], tiles: Tiles, tmp_path: Path
 ) -> None:
-    by_file = run_algorithm("register", {"REFERENCE": tiles.raster, "INPUT": str(part[1])}).results
+    by_file = run_algorithm("register", {"REFERENCE": tiles.raster, "INPUT": str(part[1]), **QUICK}).results
     layer = QgsRasterLayer(tiles.uri, "Luftbild", "wms")
     parameters = {"REFERENCE": layer, "INPUT": str(part[1]), "OUTPUT_FOLDER": str(tmp_path / "out")}
-    found = run_algorithm("register", parameters).results
+    found = run_algorithm("register", {**parameters, **QUICK}).results
     for name in ("SHIFT_COL", "SHIFT_ROW"):
         assert abs(found[name] - by_file[name]) <= 0.1
     assert found["FACTS"].count("relative to the basemap Luftbild (25") == 1
@@ -128,7 +129,7 @@ def test_what_the_map_shows_is_drawn_in_its_order(
     layers = [QgsRasterLayer(tiles.uri, "Luftbild", "wms"), QgsVectorLayer("Point?crs=EPSG:4326", "Namen")]
     project.setCrs(QgsRasterLayer(str(part[0])).crs())
     parameters = {"SHOWN": layers[::-1], "INPUT": str(part[1]), "OUTPUT_FOLDER": str(tmp_path / "out")}
-    found = run_algorithm("register", parameters).results
+    found = run_algorithm("register", {**parameters, **QUICK}).results
     assert "relative to the basemap Namen, Luftbild (" in found["FACTS"]
     assert gdal.Open(found["DRAWN"]).GetGeoTransform()[1] == pytest.approx(30, rel=0.3)
 
