@@ -187,7 +187,9 @@ def call(config: Path, *arguments: str, **parameters: str | Path) -> str:
 def quick_python(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A Python whose virtual environments are copies of one: to make one takes seconds."""
     folder = tmp_path_factory.mktemp("environments")
-    subprocess.run([sys.executable, "-m", "venv", str(folder / "made")], check=True)
+    # its bytecode beside it, so that each copy has it
+    beside = {name: value for name, value in os.environ.items() if name != "PYTHONPYCACHEPREFIX"}
+    subprocess.run([sys.executable, "-m", "venv", str(folder / "made")], env=beside, check=True)
     script = folder / "python3"
     copy = f'if [ "$1 $2" = "-m venv" ]; then exec cp -a "{folder / "made"}" "$3"; fi'
     script.write_text(f'#!/bin/sh\n{copy}\nexec "{sys.executable}" "$@"\n', encoding="utf-8")

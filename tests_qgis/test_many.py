@@ -265,7 +265,7 @@ def test_areas_go_with_two_masks(sample: tuple[Path, Path], tmp_path: Path) -> N
         data.GetRasterBand(1).DeleteNoDataValue()
         del data
     given = {"AREA": str(within), "EXCLUDED": str(tmp_path / "without.shp")}
-    given |= {"REFERENCE_MASK": masks[0], "INPUT_MASK": masks[1]}
+    given |= {"REFERENCE_MASK": masks[0], "INPUT_MASK": masks[1], **QUICK}
     place = str(tmp_path / "points.gpkg")
     run = run_algorithm(
         "match",
