@@ -14,6 +14,7 @@ from typing import Any
 import processing
 from qgis.core import (
     Qgis,
+    QgsApplication,
     QgsCoordinateReferenceSystem,
     QgsPointXY,
     QgsProject,
@@ -356,12 +357,13 @@ def limited(dock: Any, layers: list[QgsRasterLayer]) -> Iterator[int]:
 
 
 def cancel(dock: Any) -> Iterator[int]:
-    """Cancel what has begun; the editor of what was there before stays."""
+    """Cancel what has begun in the list of tasks of QGIS; the editor of what was there before stays."""
     before = dock.editor
     dock.choices.reset()
     dock.start()
     yield 1500
-    dock.cancel_button.click()
+    (task,) = QgsApplication.taskManager().activeTasks()
+    task.cancel()
     yield from ended(dock)
     seen["cancelled"] = dock.verdict.text()
     seen["editor_kept"] = dock.editor is before and before is not None

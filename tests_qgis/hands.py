@@ -109,6 +109,13 @@ def twice(dock: Any, window: QWidget) -> Iterator[int]:
     tree = iface.layerTreeView()
     seen["unfolded"] = tree.isExpanded(tree.node2index(PROJECT.layerTreeRoot().findGroup("target aligned")))
     seen["focus after"] = window.focusWidget() == dock.start_button
+    dock.advanced.setCollapsed(False)
+    yield 500
+    seen["verdict in sight"] = [dock.verdict.visibleRegion().boundingRect().height(), dock.verdict.height()]
+    bottom = dock.verdict_area.mapTo(window, dock.verdict_area.rect().bottomLeft()).y()
+    seen["verdict in the window"] = window.height() - bottom
+    dock.advanced.setCollapsed(True)
+    yield 300
     grab(window, "aligned_1024")
     dock.tabs.setCurrentIndex(1)
     editor = dock.editor
@@ -243,6 +250,10 @@ def unplaced(dock: Any) -> Iterator[int]:
             break
         yield 100
     yield 1500
+    new = editor.sorted.mapFromSource(editor.model.index(len(editor.points.points) - 1, 0))
+    cells = [editor.sorted.data(new.siblingAtColumn(at)) for at in range(len(editor.model.titles))]
+    in_sight = editor.table.viewport().rect().contains(editor.table.visualRect(new).center())
+    seen["new row"] = [in_sight, [str(cell) for cell in cells]]
     added = editor.points.points[-1]
     seen["added"] = [
         len(editor.points.points) - count,

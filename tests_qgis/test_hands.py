@@ -138,6 +138,27 @@ def test_a_target_without_a_place_is_shown_in_its_own_frame_with_its_points(seen
     assert off_px < 0.5  # refined or not
 
 
+def test_the_verdict_is_in_sight_with_all_choices_open(seen: dict[str, Any]) -> None:
+    shown_px, height_px = seen["verdict in sight"]
+    assert shown_px > min(60, height_px - 1)  # lines of it, on a screen of 1024 x 740
+    assert seen["verdict in the window"] >= 0
+
+
+def test_warnings_of_the_engine_are_shown_and_no_displacement_from_a_frame_of_its_own(
+    seen: dict[str, Any],
+) -> None:
+    assert "⚠ no georeferencing that the two share" in seen["unplaced"]
+    assert "Median displacement" not in seen["unplaced"]
+    assert "Median displacement" in seen["aligned"]
+    assert "0.00 px (RMS)" not in seen["aligned"]
+
+
+def test_an_added_row_is_in_sight_and_has_figures(seen: dict[str, Any]) -> None:
+    in_sight, cells = seen["new row"]
+    assert in_sight is True
+    assert "nan" not in cells
+
+
 def test_a_mask_of_the_result_stays_transparent(seen: dict[str, Any]) -> None:
     assert seen["alpha"] == 4
 

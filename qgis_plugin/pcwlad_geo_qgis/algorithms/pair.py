@@ -106,6 +106,8 @@ class PairAlgorithm(EngineAlgorithm):
         if self._drawing is not None and not self._drawing.prepare(feedback):
             return False
         self.crs = self._drawing.crs if self._drawing else layers["REFERENCE"].crs()
+        places = [has_place(layers[name]) for name in ("INPUT", "REFERENCE") if name in layers]
+        self._in_one_frame = places[0] or not places[-1]
         self._box: core.QgsRectangle | None = None
         if parameters.get("EXTENT") not in (None, ""):
             self._box = self.parameterAsExtent(parameters, "EXTENT", context, self.crs)
@@ -169,6 +171,7 @@ class PairAlgorithm(EngineAlgorithm):
             if drawn is not None:
                 remove(drawn)
             raise
+        self.outcome["target"] = {"georeferenced": self._in_one_frame}
         feedback.pushInfo(summary(self.outcome))
         judged = self.judged(self.outcome, feedback)
         points = open_tie_points(self.outcome["paths"]["geopackage"], "tie_points")

@@ -1664,16 +1664,16 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Neben dem Layer</translation>
     </message>
     <message>
+      <source>Choose the layer and another one as its reference on the page “Align” first.</source>
+      <translation>Wählen Sie zuerst den Layer und einen anderen als Referenz auf der Seite „Ausrichten“.</translation>
+    </message>
+    <message>
       <source>Tie points (*.points *.csv *.pts *.txt *.xml)</source>
       <translation>Verknüpfungspunkte (*.points *.csv *.pts *.txt *.xml)</translation>
     </message>
     <message>
       <source>Wheel of pcwlad-geo</source>
       <translation>Wheel von pcwlad-geo</translation>
-    </message>
-    <message>
-      <source>Choose the layer and another one as its reference on the page “Align” first.</source>
-      <translation>Wählen Sie zuerst den Layer und einen anderen als Referenz auf der Seite „Ausrichten“.</translation>
     </message>
     <message>
       <source>The engine is installed: pcwlad-geo {}</source>
@@ -1724,10 +1724,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Die Engine verfeinert den Punkt…</translation>
     </message>
     <message>
-      <source>Save points</source>
-      <translation>Punkte speichern</translation>
-    </message>
-    <message>
       <source>Switch on</source>
       <translation>Einschalten</translation>
     </message>
@@ -1762,6 +1758,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>{}: RMSE {:.3f} px</source>
       <translation>{}: RMSE {:.3f} px</translation>
+    </message>
+    <message>
+      <source>Save points</source>
+      <translation>Punkte speichern</translation>
     </message>
     <message>
       <source>Saved: {}</source>
@@ -1872,6 +1872,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Vorher und nachher</translation>
     </message>
     <message>
+      <source>Does the result fit? See it on the map beside, in turns with, or over the layer as it was or the reference.</source>
+      <translation>Passt das Ergebnis? Auf der Karte ansehen: neben, im Wechsel mit oder über dem Layer, wie er war, oder der Referenz.</translation>
+    </message>
+    <message>
       <source>The layer as it was, or the reference, left of the mouse; the map right of it.</source>
       <translation>Links der Maus der Layer, wie er war, oder die Referenz, rechts die Karte.</translation>
     </message>
@@ -1884,8 +1888,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Wischen und Blinken vergleichen das Ergebnis mit der Referenz, nicht mit dem Layer, wie er war.</translation>
     </message>
     <message>
-      <source>With the reference</source>
-      <translation>Mit der Referenz</translation>
+      <source>Compare with the reference</source>
+      <translation>Mit der Referenz vergleichen</translation>
     </message>
     <message>
       <source>Shows the result and the layer as it was, or the reference, in turns.</source>
@@ -1934,14 +1938,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Makes it again (Ctrl+Shift+Z).</source>
       <translation>Macht sie noch einmal (Strg+Umschalt+Z).</translation>
-    </message>
-    <message>
-      <source>Shows the layer over the map, where the fit puts it: it moves with each change.</source>
-      <translation>Zeigt den Layer über der Karte, wo die Anpassung ihn hinlegt: Er wandert mit jeder Änderung.</translation>
-    </message>
-    <message>
-      <source>Over the map</source>
-      <translation>Über der Karte</translation>
     </message>
     <message>
       <source>Click a point on either map: its row is selected.</source>
@@ -2018,6 +2014,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Off: longer than</source>
       <translation>Aus: länger als</translation>
+    </message>
+    <message>
+      <source>Shows the layer over the map, where the fit puts it: it moves with each change.</source>
+      <translation>Zeigt den Layer über der Karte, wo die Anpassung ihn hinlegt: Er wandert mit jeder Änderung.</translation>
+    </message>
+    <message>
+      <source>Over the map</source>
+      <translation>Über der Karte</translation>
     </message>
     <message>
       <source>Writes a file of the Georeferencer.</source>

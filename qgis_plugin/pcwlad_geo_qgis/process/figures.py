@@ -32,7 +32,8 @@ def facts(outcome: Mapping[str, Any]) -> str:
     lines = [tr("Tie points: {:.0f}").format(found["POINTS"])]
     if outcome.get("model_name"):
         lines.append(tr("Model: {}").format(tr(LABELS[outcome["model_name"].rstrip("0123456789")])))
-    if "SHIFT" in found:
+    # from a frame of its own, a displacement tells nothing but where that begins
+    if "SHIFT" in found and outcome.get("target", {}).get("georeferenced", True):
         text = tr("Median displacement of the target: {:+.3f} px to the right, {:+.3f} px down")
         lines.append(text.format(found["SHIFT_COL"], found["SHIFT_ROW"]))
     if "RMSE" in found:
