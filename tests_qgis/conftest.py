@@ -247,6 +247,16 @@ def part(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture(scope="session")
+def scene(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The middle of the sample pair, 420 x 420 px, which many tests look at, in the same kind of folder."""
+    folder = tmp_path_factory.mktemp("scene") / sample[0].parent.name
+    folder.mkdir()
+    for path in sample:
+        gdal.Translate(str(folder / path.name), str(path), srcWin=[140, 140, 420, 420])
+    return folder / sample[0].name, folder / sample[1].name
+
+
+@pytest.fixture(scope="session")
 def large(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The sample pair on so many pixels that it is done in tiles, by workers."""
     folder = tmp_path_factory.mktemp("large")
@@ -268,9 +278,9 @@ class Finished:
 
 
 @pytest.fixture(scope="session")
-def finished(sample: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    """The sample pair, registered by both."""
-    reference, target = sample
+def finished(scene: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """A scene of the sample pair, registered by both."""
+    reference, target = scene
     outcome = run_cli("register", reference, target, "-o", tmp_path_factory.mktemp("cli") / "done")
     folder = tmp_path_factory.mktemp("out") / "Ausgabe für alle"
     folder.mkdir()

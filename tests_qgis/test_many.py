@@ -296,13 +296,13 @@ def test_the_crs_of_qgis_counts(sample: tuple[Path, Path], tmp_path: Path) -> No
 
 
 def test_points_of_a_file_a_grid_and_an_accuracy(
-    finished: Finished, sample: tuple[Path, Path], tmp_path: Path
+    finished: Finished, scene: tuple[Path, Path], tmp_path: Path
 ) -> None:
     parameters = {
-        "REFERENCE": str(sample[0]),
-        "INPUT": str(sample[1]),
+        "REFERENCE": str(scene[0]),
+        "INPUT": str(scene[1]),
         "TIE_POINTS": str(finished.folder / "alles" / "tiepoints.csv"),
-        "LIKE": str(sample[0]),
+        "LIKE": str(scene[0]),
         "RESAMPLING": "nearest",
         "MODEL": "affine",
         "OUTPUT": str(tmp_path / "out.tif"),
@@ -311,7 +311,7 @@ def test_points_of_a_file_a_grid_and_an_accuracy(
     run = run_algorithm("register", {**parameters, "MAX_CE90": 2.0})
     assert run.results["PASSED"] is True
     assert run.results["VERDICT"].startswith("The layers fit")
-    made, like = gdal.Open(run.results["OUTPUT"]), gdal.Open(str(sample[0]))
+    made, like = gdal.Open(run.results["OUTPUT"]), gdal.Open(str(scene[0]))
     assert made.GetGeoTransform() == like.GetGeoTransform()
     assert (made.RasterXSize, made.RasterYSize) == (like.RasterXSize, like.RasterYSize)
     assert gdal.Open(run.results["OUTPUT_DISPLACEMENT"]).RasterCount == 5

@@ -66,9 +66,9 @@ def test_rasters_and_vectors_shift_by_the_same_amount(sample: tuple[Path, Path],
 
 
 def test_vectors_that_were_drawn_on_the_target_follow_it(
-    finished: Finished, sample: tuple[Path, Path], tmp_path: Path
+    finished: Finished, scene: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    vectors = opened(plots(tmp_path / "plots.gpkg", sample[0]))
+    vectors = opened(plots(tmp_path / "plots.gpkg", scene[0]))
     folder = str(finished.folder / "alles")
     given = {"REGISTRATION": folder, "INPUTS": [layer.id() for layer in vectors]}
     there = run_algorithm("applyvectors", {**given, "OUTPUT_FOLDER": str(tmp_path / "there")})

@@ -72,8 +72,8 @@ def check_against(outcome: dict[str, Any], results: dict[str, Any]) -> None:
     assert Path(results["OUTPUT_HTML"]).is_file()
 
 
-def test_the_sample_pair(profile: Path, finished: Finished, tmp_path: Path) -> None:
-    pair = {"REFERENCE": SAMPLE / "landsat_b4.tif", "INPUT": SAMPLE / "landsat_b10.tif"}
+def test_the_sample_pair(profile: Path, finished: Finished, scene: tuple[Path, Path], tmp_path: Path) -> None:
+    pair = {"REFERENCE": scene[0], "INPUT": scene[1]}
     results = results_of(profile, "register", **pair, **outputs(tmp_path))
     check_against(finished.outcome, results)
 

@@ -23,11 +23,11 @@ PICTURES = os.environ.get("PCWLAD_GEO_PICTURES")
 def seen(
     profile: Path,
     finished: Finished,
-    sample: tuple[Path, Path],
+    scene: tuple[Path, Path],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Any]:
     """Run QGIS with a window and return what it saw."""
-    reference, target = sample
+    reference, target = scene
     shutil.copy(finished.plugin.results["OUTPUT_POINTS"], target.with_name(f"{target.name}.points"))
     done = Path(finished.outcome["paths"]["numbers"]).parent
     load = [str(path) for path in sorted(done.iterdir()) if path.suffix in (".vrt", ".tif", ".gpkg")]
@@ -137,7 +137,7 @@ def test_nothing_asks_for_a_crs(seen: dict[str, Any]) -> None:
 
 
 def test_the_georeferencer_has_the_points_and_their_residuals(
-    seen: dict[str, Any], finished: Finished, sample: tuple[Path, Path]
+    seen: dict[str, Any], finished: Finished, scene: tuple[Path, Path]
 ) -> None:
     if "points" not in seen:
         pytest.skip("the Georeferencer of this QGIS takes a file by a dialog only")
@@ -151,7 +151,7 @@ def test_the_georeferencer_has_the_points_and_their_residuals(
     assert [bool(state) for state in seen["enabled"]] == [bool(row[4]) for row in rows]
     np.testing.assert_allclose(shown[:, 3:5], rows[:, :2], atol=0.006)
     np.testing.assert_allclose(shown[:, 1:3], rows[:, 2:4], atol=0.006)
-    expected = affine_residuals_px(rows, str(sample[1]))
+    expected = affine_residuals_px(rows, str(scene[1]))
     np.testing.assert_allclose(shown[:, 5:7], expected, atol=1e-5)
     np.testing.assert_allclose(shown[:, 7], np.hypot(*expected.T), atol=1e-5)
     # those of the file are of another model, but have the same sign
