@@ -165,6 +165,11 @@ def test_ecostress_is_matched_and_compared(ecostress: Path, tmp_path: Path) -> N
     assert (pair.status, pair.name) == ("measured", "radiance_4 – LST")
 
 
+def test_a_stack_says_how_it_takes_a_swath(ecostress: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no plain geotransform.*what register has made"):
+        pcwlad_geo.stack([ecostress], out_dir=tmp_path / "stack")
+
+
 @pytest.mark.parametrize(
     ("missing", "message"),
     [

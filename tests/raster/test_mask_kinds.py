@@ -193,6 +193,11 @@ def test_clouds_hold_no_tie_points(tmp_path: Path) -> None:
 def test_bits_and_classes_of_hls_maja_and_planet() -> None:
     bits = np.array([[[1 << bit for bit in range(8)]]], "uint8")
     assert accepted("Fmask", bits).tolist() == [[False] * 4 + [True] * 4]
+    for kind, values, kept in (  # of swaths
+        ("CloudMask", [0, 1, 0b11, 0b101, 0b100001], [False, True, False, False, True]),
+        ("Integer_Cloud_Mask", [255, 0, 1, 2, 3], [False, False, False, True, True]),
+    ):
+        assert accepted(kind, np.array([[values]], "uint8")).tolist() == [kept]
     assert accepted("CLM", np.array([[[0, 1, 16, 128]]], "uint8")).tolist() == [[True, False, False, False]]
     shadow, heavy_haze, cloud = (np.array([[0, *row]], "uint8") for row in np.eye(3, 5, dtype="uint8"))
     older = np.array([[0, 0, 0, 0, 1, 2]], "uint8")  # fill; the older mask's cloud, which may be snow

@@ -64,7 +64,10 @@ def frame_of(
     check_reference(reference, names)
     for name, info in zip(names, infos, strict=True):
         if type(info.grid) is not Grid:
-            raise InputError(f"{name} has no plain geotransform: a stack takes images with one, or with none")
+            raise InputError(
+                f"{name} has no plain geotransform, and a stack takes images with one, or with none: of a "
+                "swath give what register has made of it on a map (…_registered.tif)"
+            )
     lacking = [name for name, info in zip(names, infos, strict=True) if not info.georeferenced]
     if lacking and len(lacking) < len(names):
         raise InputError(
