@@ -96,7 +96,15 @@ def test_a_large_image_is_searched_on_a_coarser_level() -> None:
     assert error_px(result, (-250, -180)) < 1.0
 
 
-@pytest.mark.parametrize(("scale", "degrees"), [(1.03, 0.0), (0.97, 0.0), (1.0, 2.0), (1.02, -1.5)])
+@pytest.mark.parametrize(
+    ("scale", "degrees"),
+    [
+        (0.97, 0.0),
+        (1.02, -1.5),
+        pytest.param(1.03, 0.0, marks=pytest.mark.slow),
+        pytest.param(1.0, 2.0, marks=pytest.mark.slow),
+    ],
+)
 def test_a_little_scale_and_rotation_is_tolerated(
     visible: np.ndarray, thermal: np.ndarray, scale: float, degrees: float
 ) -> None:

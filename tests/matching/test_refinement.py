@@ -54,7 +54,7 @@ def cross_modal(oriented: bool, with_holes: bool) -> ChannelPair:
     )
 
 
-CORNERS = np.array([[80, 95], [112, 90], [100, 118], [40, 100], [100, 30]])
+CORNERS = np.array([[80, 95], [40, 100], [100, 30]])
 
 
 @pytest.mark.parametrize(("oriented", "with_holes"), [(True, False), (False, True)])
@@ -88,7 +88,7 @@ def test_the_compiled_loop_equals_its_plain_twin(
     np.testing.assert_allclose(fast.covariance_px2[ok] / scale, plain.covariance_px2[ok] / scale, atol=1e-3)
     assert not ok[-1], "the last window leaves the image"
     if structure == "follows" and not affine:
-        assert ok[:3].sum() >= 2
+        assert ok[:-1].all()
 
 
 def test_one_short_move_confirms_a_match_and_nothing_else() -> None:
