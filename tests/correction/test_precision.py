@@ -42,7 +42,7 @@ def coverage(ratios: list[Array]) -> tuple[float, float]:
     return float(np.mean(size < 1)), float(np.mean(size < 1.96))
 
 
-@pytest.mark.parametrize("shared", [0.0, 0.6])
+@pytest.mark.parametrize("shared", [pytest.param(0.0, marks=slow), 0.6])
 @pytest.mark.parametrize(
     ("name", "field", "seeds"),
     [

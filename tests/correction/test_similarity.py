@@ -94,7 +94,12 @@ LINEAR = ("shift", "rigid", "similarity", "affine")
 
 @pytest.mark.parametrize(
     ("angle_deg", "scale", "expected"),
-    [(2.0, 1.0, {"rigid"}), (0.05, 1.0, {"rigid"}), (0.5, 1.002, {"similarity"}), (0.0, 1.0, {"shift"})],
+    [
+        pytest.param(2.0, 1.0, {"rigid"}, marks=pytest.mark.slow),
+        (0.05, 1.0, {"rigid"}),
+        (0.5, 1.002, {"similarity"}),
+        (0.0, 1.0, {"shift"}),
+    ],
 )
 def test_auto_takes_them_where_the_affine_is_no_better(
     angle_deg: float, scale: float, expected: set[str]
