@@ -57,10 +57,10 @@ def match_candidates(
     if settings.first_features is not None:
         fewer = replace(settings, features=settings.first_features, per_cell=1)
         points, candidates = _match_corners(pair, core, fewer, also)
-        agreeing = int(consistent_points(points, settings).sum()) if len(points) else 0
+        agreeing = points[consistent_points(points, settings)] if len(points) else points
         if suffice(agreeing, len(candidates)):
             return points, replace(candidates, are_all=False)
-        if are_hopeless(agreeing, len(points)):
+        if are_hopeless(len(agreeing), len(points)):
             return points, candidates
     return _match_corners(pair, core, settings, also)
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-from pcwlad_geo.matching.types import TRAITS, MatchSettings
+import numpy as np
+
+from pcwlad_geo.estimation.solving import least_squares
+from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +25,9 @@ class RoundParameters:
     """Least number of them that must give points that agree."""
     agreeing_share: float = 0.8
     """Least share of them that must do so."""
+    bent_px: float = 0.25
+    """Largest distance of 68 % of these from a surface of second order: beyond it the displacement has detail
+    that few points are too sparse to tell."""
     least_matched: int = 12
     """Least number of their matches from which others are in vain where none of these agree."""
 
@@ -45,12 +51,21 @@ def in_rounds(settings: MatchSettings, area_px2: float) -> MatchSettings:
     return replace(settings, first_features=first if in_two_rounds else None)
 
 
-def suffice(agreeing: int, candidates: int) -> bool:
-    """Return whether the first candidates, of which so many gave points that agree, need no others.
+def suffice(agreeing: TiePoints, candidates: int) -> bool:
+    """Return whether the first candidates, whose `agreeing` points are given, need no others.
 
-    They do where most of them agree, in numbers that tell the window and the model of the correction.
+    They do not where most of them agree, in numbers that tell the window and the model of the correction, and
+    a smooth surface holds their displacements. A flexible model follows sparse points of ground with relief,
+    and only dense ones tell how far it departs from them.
     """
-    return agreeing >= max(ROUNDS.least_agreeing, ROUNDS.agreeing_share * candidates)
+    if len(agreeing) < max(ROUNDS.least_agreeing, ROUNDS.agreeing_share * candidates):
+        return False
+    place = agreeing.reference_xy_px - agreeing.reference_xy_px.mean(axis=0)
+    col, row = (place / max(float(np.abs(place).max()), 1.0)).T
+    design = np.column_stack([np.ones_like(col), col, row, col**2, col * row, row**2])
+    values_px = agreeing.displacement_px
+    residual_px = values_px - design @ least_squares(design, values_px)
+    return float(np.percentile(np.hypot(*residual_px.T), 68)) <= ROUNDS.bent_px
 
 
 def are_hopeless(agreeing: int, matches: int) -> bool:

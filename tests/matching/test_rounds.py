@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcwlad_geo.matching import AUTO_FEATURES
 from pcwlad_geo.matching.matcher import match_arrays
-from pcwlad_geo.matching.rounds import ROUNDS, are_hopeless, in_rounds
+from pcwlad_geo.matching.rounds import ROUNDS, are_hopeless, in_rounds, suffice
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
 from tests.matching.landscape import Landscape, constant
 
@@ -45,6 +45,16 @@ def test_where_they_disagree_all_are_matched_as_if_at_once() -> None:
     np.testing.assert_array_equal(rounds.reference_xy_px, at_once.reference_xy_px)
     np.testing.assert_array_equal(rounds.target_xy_px, at_once.target_xy_px)
     np.testing.assert_array_equal(rounds.covariance_px2, at_once.covariance_px2)
+
+
+@pytest.mark.parametrize(("amplitude_px", "few"), [(0.1, True), (1.5, False)])
+def test_displacements_with_detail_need_more_than_the_first(amplitude_px: float, few: bool) -> None:
+    xy_px = np.stack(np.meshgrid(np.arange(60.0, 300, 16), np.arange(60.0, 300, 16)), axis=-1).reshape(-1, 2)
+    wave_px = np.array(SHIFT_XY) + amplitude_px * np.sin(2 * np.pi * xy_px / 90.0) + 2e-5 * xy_px**2
+    n = len(xy_px)
+    points = TiePoints(xy_px, xy_px + wave_px, np.tile(1e-3 * np.eye(2), (n, 1, 1)), np.ones(n), np.zeros(n))
+    assert suffice(points, n) == few
+    assert not suffice(points[:50], 50)
 
 
 def test_where_none_of_the_first_agree_no_others_are_matched() -> None:
