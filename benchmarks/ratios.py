@@ -32,7 +32,7 @@ from benchmarks.timing import cheapest
 
 KEPT: Final = Path(__file__).with_suffix(".json")
 GROWTH: Final = 4 / 3
-ROUNDS: Final = 3
+ROUNDS: Final = 2
 BANK: Final = (2048, 2048)
 IMPORTS: Final = (
     sys.executable,
