@@ -197,6 +197,7 @@ def test_orthoimages_of_a_block_over_a_coarse_dem_lie_on_each_other(
         dem=images / "N44E005.hgt",
         dem_vertical=images / "egm96_15.gtx",
         jobs=1,
+        no_report=True,
     )
     sift = cv2.SIFT_create(contrastThreshold=0.01)
     (left, of_left), (right, of_right) = (
