@@ -25,7 +25,7 @@ class RoundParameters:
     """Least number of them that must give points that agree."""
     agreeing_share: float = 0.8
     """Least share of them that must do so."""
-    bent_px: float = 0.25
+    bent_px: float = 0.5
     """Largest distance of 68 % of these from a surface of second order: beyond it the displacement has detail
     that few points are too sparse to tell."""
     least_matched: int = 12

@@ -14,7 +14,7 @@ USERS = ("pcwlad_geo", "benchmarks", "docs", "fuzz", "qgis_plugin", "tests")
 STILL_INNER = {
     "matching": """
         ChannelPair Core GUIDANCE Lost OTHER_WINDOWS_PX LARGE_WINDOWS_PX FIRST_WINDOW_PX OUTCOMES Prediction
-        Predictor PreparedPair Surface TRAITS WindowErrors calibrate can_try_again cell_side_px
+        Predictor PreparedPair Surface TRAITS WINDOWS WindowErrors calibrate can_try_again cell_side_px
         choose_scales confirmed consistent consistent_points contradicted_clusters contrast_weight
         displacement_by_stripes displacement_by_surroundings displacement_by_windows expect_lost fast_even
         fill_smoothly global_affine in_rounds in_threads jitter_px margin_px matched_again narrow_gaps

@@ -11,7 +11,7 @@ import numpy as np
 from pcwlad_geo.events import only_warnings
 from pcwlad_geo.matching import FieldGuide, Scales, TiePoints
 from pcwlad_geo.matching.jitter import jitter_px
-from pcwlad_geo.matching.windows import WindowErrors, choose_scales, sample_size
+from pcwlad_geo.matching.windows import WINDOWS, WindowErrors, choose_scales, sample_size
 from pcwlad_geo.registration.motions import share_displaced
 from pcwlad_geo.registration.scene.first_pass import FirstPass
 from pcwlad_geo.registration.scene.parameters import SceneContext
@@ -69,6 +69,7 @@ def choose_windows(
 
     samples = [index[::step] for index in members]
     scales, errors = choose_scales(partial(measured, compare_windows, samples), settings)
+    step = max(1, int(counts[selection].sum() / WINDOWS.sample))  # jitter shows in many points only
     larger = [index[:: max(1, step // 2)] for index in members]
     sample = np.concatenate(larger)
     xy, displacement_px = points.reference_xy_px[sample], points.displacement_px[sample]
