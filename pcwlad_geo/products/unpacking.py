@@ -18,7 +18,7 @@ from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.text import part_of_jpeg
 from pcwlad_geo.types import PathLike
 
-_HDF5: Final = (".h5", ".he5", ".nc")
+_HDF5_ENDINGS: Final = (".h5", ".he5", ".nc")
 
 
 @contextmanager
@@ -80,6 +80,6 @@ def _hdf5_in(name: str) -> list[tuple[FileTree, str]]:
         tree = tree_of(path) if is_archive(path) and path.is_file() else None
     except (InputError, OSError, ValueError):  # it is told where the input is opened
         return []
-    members = [member for member in (tree.names if tree else ()) if member.lower().endswith(_HDF5)]
+    members = [member for member in (tree.names if tree else ()) if member.lower().endswith(_HDF5_ENDINGS)]
     known = KINDS.ask(lambda kind: any(map(kind.marks, map(name_in, members))), bool)
     return [(tree, member) for member in members] if tree and any(known) else []

@@ -46,7 +46,7 @@ Collections.
 """
 _OLDER_BQA: Final = 1 << 13
 """Least value of before the Collections, which always sets one of the bits that Collection 1 leaves empty."""
-_BANDS: Final[dict[str, tuple[int, ...]]] = {
+_EXCLUDING_BANDS: Final[dict[str, tuple[int, ...]]] = {
     "MSK_CLASSI": (1, 2),  # opaque clouds, cirrus; 3 is snow
     "UDM2": (3, 5, 6, 8),  # shadow, heavy haze, cloud, and the bits of the older mask
     "QL_QUALITY-2": (1, 6, 7),  # shadow, cloud over land, cloud over water
@@ -63,7 +63,7 @@ _CLOUD_MASK_BITS: Final = 0b111, 0b001
 """Bits of the mask of ECOSTRESS of Collection 1, and those of clear ground: decided, no cloud, none near."""
 _CLEAR_OF_VIIRS: Final = 2, 3
 """Classes of the cloud mask of VIIRS that are clear ground: probably, and confidently."""
-_NUMBERS: Final = {"EMIT mask": "f"}
+_MASK_TYPES: Final = {"EMIT mask": "f"}
 """Kinds of NumPy's types of masks that are not whole numbers."""
 _ENDINGS: Final = r"(_\d+m)?(\.\w+)?$"
 _MASK_FILES: Final[dict[MaskKind, str]] = {
@@ -119,7 +119,7 @@ def is_quality_raster(name: str) -> bool:
 
 def bands_of(kind: MaskKind) -> tuple[int, ...]:
     """Return the numbers of the bands, from 1, that a kind of mask consists of."""
-    return _BANDS.get(kind, (1,))
+    return _EXCLUDING_BANDS.get(kind, (1,))
 
 
 def files_of_mask(kind: MaskKind, uri: str) -> tuple[str, ...]:
@@ -168,7 +168,7 @@ def _without(kind: str, values: NDArray[np.generic]) -> Bool:
 
 def _check(kind: MaskKind, uri: str, dtypes: Sequence[str]) -> None:
     count = max(bands_of(kind))
-    types = _NUMBERS.get(kind, "iu")
+    types = _MASK_TYPES.get(kind, "iu")
     if len(dtypes) < count or any(np.dtype(dtype).kind not in types for dtype in dtypes[:count]):
         plural = "s" if len(dtypes) != 1 else ""
         content = f"{len(dtypes)} band{plural} of type {', '.join(sorted(set(dtypes)))}"

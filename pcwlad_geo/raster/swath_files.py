@@ -68,7 +68,7 @@ _SENSORS: Final = (
     ),
 )
 """VIIRS of level 1B; ECOSTRESS of levels 1B and 2, as seen."""
-_TYPES: Final = {"|u1": "Byte", "<u2": "UInt16", "<i2": "Int16", "<f4": "Float32"}
+_GDAL_TYPES: Final = {"|u1": "Byte", "<u2": "UInt16", "<i2": "Int16", "<f4": "Float32"}
 
 
 def swath_bands(path: Path, file: h5py.File) -> list[tuple[str, str]]:
@@ -102,7 +102,7 @@ def _vrt(files: SwathFiles, image: Path, placed_by: Path, array: str, _: Stamp) 
     with open_hdf5(image) as file:
         values = file[array]
         rows, cols = values.shape
-        kind = _TYPES[values.dtype.newbyteorder("<").str]
+        kind = _GDAL_TYPES[values.dtype.newbyteorder("<").str]
         fill = _number(values, "_FillValue", -9999.0 if kind == "Float32" else 0.0)
         scale, offset = _number(values, "scale_factor", 1.0), _number(values, "add_offset", 0.0)
     codes = {
