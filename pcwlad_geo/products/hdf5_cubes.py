@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
@@ -76,11 +75,10 @@ class CubeSensor:
 
 def _mask(tree: FileTree, name: str, array: str) -> str | None:
     """Return the array of a file of this name, * standing for any text, if it is there."""
-    for candidate in tree.names:
-        if fnmatchcase(name_in(candidate), name):
-            with tree.open_hdf5(candidate) as file:
-                if array in file:
-                    return tree.array_uri(candidate, array)
+    for candidate in tree.named(name):
+        with tree.open_hdf5(candidate) as file:
+            if array in file:
+                return tree.array_uri(candidate, array)
     return None
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
 
@@ -62,7 +61,7 @@ class SwathSensor:
         """Return the mask of an image, if there is one, and the name of its file."""
         match = self.images.fullmatch(name_in(image))
         name, array, view = self.mask(match) if match else ("", "", "")
-        files = [file for file in tree.names if fnmatchcase(name_in(file), name)]
+        files = tree.named(name)
         if not files:
             return None, name
         uri = tree.array_uri(files[-1], array)  # of the last processing

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Final
@@ -75,6 +76,10 @@ class FileTree:
             return f"/vsisubfile/{place}_{name_in(name).replace(',', '_')},{unpacked}{archive}"
         # Braces mark where the archive's name ends, which GDAL would guess otherwise.
         return f"{self.prefix}/{{{archive}}}/{name}"
+
+    def named(self, pattern: str) -> list[str]:
+        """Return the files in any folder that have this name, in which * stands for any text."""
+        return [name for name in self.names if fnmatchcase(name_in(name), pattern)]
 
     def read_text(self, name: str) -> str:
         """Read a small text file.
