@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from osgeo import gdal
 from pcwlad_geo_qgis.algorithms.base import words_of
 from pcwlad_geo_qgis.model.rasters import file_behind, path_of, problem_of, warning_of
 from pcwlad_geo_qgis.model.tie_points import translate_legend
+from pcwlad_geo_qgis.process.advice import for_dialog
 from pcwlad_geo_qgis.text import _Language, speak
 from qgis.core import (
     QgsApplication,
@@ -26,7 +28,7 @@ from qgis.core import (
     QgsSymbol,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QDateTime
+from qgis.PyQt.QtCore import QCoreApplication, QDateTime, QTranslator
 
 ALGORITHMS = ("register", "match", "prove", "apply", "qa", "watch", "checkengine", "installengine")
 
@@ -281,3 +283,19 @@ def test_legends_of_the_engine_are_translated() -> None:
         speak(translate)
     labels = [rule.label() for rule in layer.renderer().rootRule().children()][-3:]
     assert labels == ["verworfen (Pfeile × 50)", "Rest 0.1 bis 0.2 px", "of a user"]
+
+
+@pytest.mark.skipif(shutil.which("lrelease") is None, reason="no lrelease: no translations in the zip")
+def test_reasons_of_the_engine_are_german_in_a_german_qgis(built: Path, tmp_path: Path) -> None:
+    translator = QTranslator()
+    with zipfile.ZipFile(built) as archive:
+        assert translator.load(archive.extract("pcwlad_geo_qgis/i18n/pcwlad_geo_de.qm", str(tmp_path)))
+    told = "none of the 90 candidates agrees with its neighbours, no better than chance: choose another"
+    assert for_dialog(told) == told
+    QCoreApplication.installTranslator(translator)
+    try:
+        german = for_dialog(told)
+    finally:
+        QCoreApplication.removeTranslator(translator)
+    why = "keiner der 90 Kandidaten stimmt mit seinen Nachbarn überein, nicht besser als der Zufall"
+    assert german == f"{why}: choose another"

@@ -86,9 +86,9 @@ def without_collar(info: RasterInfo, pixels: BandPixels | None = None) -> tuple[
             is_frame = collar is None and (collar := find_frame(read, dataset.shape)) is not None
     if collar is None:
         return info, ()
-    what = "border of a scanned frame (tone about" if is_frame else "constant border (value"
+    what = "a border of a scanned frame (tone about" if is_frame else "a constant border (value"
     note = (
-        f"a {what} {collar.value:g}) of {100 * collar.share:.2g} % of {info.uri} is taken "
+        f"{what} {collar.value:g}) of {100 * collar.share:.2g} % of {info.uri} is taken "
         "for nodata; if it is data, declare another nodata value, or give a mask"
     )
     return replace(info, collar=collar), (note,) if collar.share >= UNDECLARED.noted_border else ()

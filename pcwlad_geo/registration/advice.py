@@ -37,17 +37,18 @@ def refusal(
 
 def _other_causes(evidence: Evidence, start: Prealignment, georeferenced: bool) -> str:
     """Return what to try beside a search, the likeliest first."""
-    causes = []
+    causes = ""
     if evidence.few_valid:
-        causes.append("fill small gaps (gdal_fillnodata.py), around which too few pixels are valid")
+        causes += "fill small gaps (gdal_fillnodata.py), around which too few pixels are valid, or "
     if not georeferenced and start.searched:
-        causes.append(
+        causes += (
             "if the two share a small part only, or their pixels differ more than four times in size, give "
-            "both a rough geotransform (gdal_edit.py -a_ullr), right to some pixels"
+            "both a rough geotransform (gdal_edit.py -a_ullr), right to some pixels, or "
         )
-    causes.append("choose bands that look alike")
-    causes.append("mask clouds and what has changed")
-    return f"{', or '.join(causes)}, unless the two do not show the same place"
+    return causes + (
+        "choose bands that look alike, or mask clouds and what has changed, unless the two do not show the "
+        "same place"
+    )
 
 
 def _advice(start: Prealignment, past_search_border: bool) -> str:

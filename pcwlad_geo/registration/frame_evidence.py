@@ -69,11 +69,12 @@ class FrameEvidence:
         if self.rival_px is not None:
             col, row = self.rival_px
             evidence = f"without it there is ground that has moved by about ({col:+.2g}, {row:+.2g}) px"
-        only = "only" if self.is_frame else "perhaps only"
+        still = "only in what stands still in both frames"
+        if not self.is_frame:
+            still = "perhaps only in what stands still in both frames"
         return (
-            f"{SAME_PIXELS}{only} in what stands still in both frames: "
-            "a fixed pattern of the sensor, dust, vignetting, or text, lines and masks burnt in "
-            f"({evidence}); mask it, correct the frames for it, or give their georeferencing"
+            f"{SAME_PIXELS}{still}: a fixed pattern of the sensor, dust, vignetting, or text, lines and "
+            f"masks burnt in ({evidence}); mask it, correct the frames for it, or give their georeferencing"
         )
 
 

@@ -117,16 +117,12 @@ class Quality:
         extrapolated = self.extrapolated_share > parameters.poor_extrapolated_share
         if self.grade != "poor" or not (little_kept or extrapolated):
             return None
-        share = self.kept_share if little_kept else self.extrapolated_share
-        what = (
-            "of the matches agree with their neighbours"
-            if little_kept
-            else "of the common ground lies beyond the tie points"
-        )
+        what = f"{100 * self.extrapolated_share:.0f} % of the common ground lies beyond the tie points"
+        if little_kept:
+            what = f"only {100 * self.kept_share:.0f} % of the matches agree with their neighbours"
         return (
-            f"{'only ' if little_kept else ''}{100 * share:.0f} % {what}, and the correction does not hold: "
-            f"{self.reasons[0].text}. Mask what moves, or choose images that are alike in what they show and "
-            "taken from nearby viewpoints"
+            f"{what}, and the correction does not hold: {self.reasons[0].text}. Mask what moves, or choose "
+            "images that are alike in what they show and taken from nearby viewpoints"
         )
 
 

@@ -110,6 +110,59 @@ def test_advice_names_what_the_dialog_has(monkeypatch: pytest.MonkeyPatch) -> No
     assert told.endswith("(Options that begin with -- go into the advanced parameter “More options”.)")
 
 
+def test_reasons_of_the_engine_are_told_in_the_language_of_qgis(monkeypatch: pytest.MonkeyPatch) -> None:
+    for_dialog = plugin_module("process.advice", monkeypatch).for_dialog
+    translated = runpy.run_path(str(FOLDER / "translations.py"))["translated"]
+    german = translated(PLUGIN / "i18n" / "pcwlad_geo_de.ts")
+    sys.modules["pcwlad_geo_qgis.text"].speak(lambda text: german.get(text, text))
+    told = for_dialog(
+        "only 3 of 90 candidates agree with their neighbours, in 2 of 30 separate places, no better than "
+        "chance: raise --search-radius, or give --prealign search; choose bands that look alike, or mask "
+        "clouds and what has changed, unless the two do not show the same place (report: /a b/report.html)"
+    )
+    assert told == (
+        "nur 3 von 90 Kandidaten stimmen mit ihren Nachbarn überein, an 2 von 30 getrennten Orten, nicht "
+        "besser als der Zufall: erhöhen Sie “Suchradius”, oder wählen Sie “Grobe Ausrichtung” search; "
+        "wählen Sie Kanäle, die sich ähnlich sehen, oder maskieren Sie Wolken und was sich verändert hat, es "
+        "sei denn, die beiden zeigen nicht denselben Ort (report: /a b/report.html)"
+    )
+    assert for_dialog("nobody has written this sentence") == "nobody has written this sentence"
+
+
+def test_the_sentences_are_those_of_the_engine_and_none_of_its_warnings_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sentences = plugin_module("sentences", monkeypatch)
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(ENGINE.rglob("*.py"))}
+    texts = {text for tree in trees.values() for node in ast.walk(tree) if (text := template(node))}
+    assert [said for said in sentences.SENTENCES if not any(said in text for text in texts)] == []
+    sys.modules["pcwlad_geo_qgis.text"].speak(lambda text: re.sub("[^{}]", "", text))
+    told = {
+        text
+        for path, tree in trees.items()
+        if "registration" in path.parts
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in TELL
+        for text in map(template, node.args)
+        if " " in text
+    }
+    assert len(told) > 15
+    assert [
+        text for text in told if re.search("[a-z]{3}", sentences.in_language(text.replace("{}", "1")))
+    ] == []
+
+
+TELL = ("warn", "Reason", "Doubt")
+"""What makes a reason or a warning of a sentence."""
+
+
+def template(node: ast.AST) -> str:
+    """Return the text of a string, with `{}` for values; empty for what is none."""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(each.value if isinstance(each, ast.Constant) else "{}" for each in node.values)
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
+
+
 @pytest.mark.parametrize(("px_m", "size"), [((30.0, 30.0), "0.12 px (3.60 m)"), (None, "0.12 px")])
 def test_the_summary_ends_with_the_grade_as_on_the_command_line(
     px_m: tuple[float, float] | None, size: str, monkeypatch: pytest.MonkeyPatch
@@ -216,7 +269,7 @@ def test_pairs_on_one_line_put_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 def plugin_module(name: str, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """Import a module of the plugin for the duration of a test."""
     monkeypatch.syspath_prepend(FOLDER)
-    names = ("", ".text", ".help", ".process", ".process.engine", ".process.child", f".{name}")
+    names = ("", ".text", ".help", ".sentences", ".process", ".process.engine", ".process.child", f".{name}")
     for module in (f"pcwlad_geo_qgis{each}" for each in names):
         # noted as absent first, so that they are gone again after the test
         monkeypatch.setitem(sys.modules, module, types.ModuleType(module))

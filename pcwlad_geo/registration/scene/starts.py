@@ -70,7 +70,7 @@ def _starts_by_grey_values(posed: PoseStarts, log: JobLog) -> Iterator[StartingA
 
 def warn_of_start(pair: ViewPair, prealignment: Prealignment, context: SceneContext) -> None:
     """Warn of matches of grey values, and of a georeferencing that errs."""
-    log, placed_by = context.log, "--place" if pair.by_hand else "the georeferencing"
+    log, off = context.log, "--place is off" if pair.by_hand else "the georeferencing is off"
     if prealignment.matched_by == "grey values":
         log.warn(
             "the two share too little structure and are matched by the relation of their grey values, from "
@@ -80,15 +80,14 @@ def warn_of_start(pair: ViewPair, prealignment: Prealignment, context: SceneCont
     if prealignment.method == "search" and pair.georeferenced:
         col, row = prealignment.shift_px
         log.warn(
-            f"{placed_by} is off by about ({col:.0f}, {row:.0f}) px (col, row; of the "
-            "coarser raster): found by a search"
+            f"{off} by about ({col:.0f}, {row:.0f}) px (col, row; of the coarser raster): found by a search"
         )
     elif prealignment.pose is not None and pair.georeferenced:
         predicted = jacobian(
             pair.reference.info.grid.middle_px, pair.reference.info.grid, pair.target.info.grid
         )
         pose = prealignment.pose.beside(predicted[0])
-        log.warn(f"{placed_by} is off: a search found the target at {pose}, beside where that puts it")
+        log.warn(f"{off}: a search found the target at {pose}, beside where that puts it")
 
 
 def with_few_values(pair: ViewPair, overviews: Overviews) -> list[str]:

@@ -1636,6 +1636,406 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Engine: ein Python, in dem pcwlad-geo liegt, oder das Programm pcwlad-geo</translation>
     </message>
     <message>
+      <source>only {} of {} candidates agree with their neighbours, in {} of {} separate places</source>
+      <translation>nur {} von {} Kandidaten stimmen mit ihren Nachbarn überein, an {} von {} getrennten Orten</translation>
+    </message>
+    <message>
+      <source>none of the {} candidates agrees with its neighbours</source>
+      <translation>keiner der {} Kandidaten stimmt mit seinen Nachbarn überein</translation>
+    </message>
+    <message>
+      <source>no better than chance</source>
+      <translation>nicht besser als der Zufall</translation>
+    </message>
+    <message>
+      <source>{} tie points agree, in {} of {} separate places, and so few say too little</source>
+      <translation>{} Passpunkte stimmen überein, an {} von {} getrennten Orten, und so wenige sagen zu wenig</translation>
+    </message>
+    <message>
+      <source>at least {} are needed</source>
+      <translation>mindestens {} sind nötig</translation>
+    </message>
+    <message>
+      <source>points within a matching window say the same: more places are needed</source>
+      <translation>Punkte in einem Vergleichsfenster sagen dasselbe: es braucht mehr Orte</translation>
+    </message>
+    <message>
+      <source>use rasters that share more ground, masks that exclude less, or a smaller --window</source>
+      <translation>nehmen Sie Raster, die mehr Boden gemeinsam haben, Masken, die weniger ausschließen, oder ein kleineres --window</translation>
+    </message>
+    <message>
+      <source>no structure to match: the overlap is flat, masked or too small; check bands, masks and nodata</source>
+      <translation>keine Struktur zum Vergleichen: die gemeinsame Fläche ist eintönig, maskiert oder zu klein; prüfen Sie Kanäle, Masken und Nodata</translation>
+    </message>
+    <message>
+      <source>almost no window has enough valid pixels in both images; check masks, nodata and overlap</source>
+      <translation>fast kein Fenster hat in beiden Bildern genug gültige Pixel; prüfen Sie Masken, Nodata und Überlappung</translation>
+    </message>
+    <message>
+      <source>the candidates agree only up to multiples of {} px: both images show the grid of blocks that JPEG compression leaves, and little else; use images without it, or mask what shows nothing else</source>
+      <translation>die Kandidaten stimmen nur bis auf Vielfache von {} px überein: beide Bilder zeigen das Blockraster der JPEG-Kompression und wenig sonst; nehmen Sie Bilder ohne dieses, oder maskieren Sie, was nichts anderes zeigt</translation>
+    </message>
+    <message>
+      <source>the common area is {} x {} px of the matching grid: too small to match (at least {} px a side); use rasters that share more ground</source>
+      <translation>die gemeinsame Fläche ist {} x {} px des Suchgitters groß: zu klein zum Vergleichen (mindestens {} px je Seite); nehmen Sie Raster, die mehr Boden gemeinsam haben</translation>
+    </message>
+    <message>
+      <source>has no valid pixel (nodata, masks) where the two overlap: check its nodata value, its mask, or choose another band</source>
+      <translation>hat kein gültiges Pixel (Nodata, Masken), wo sich die beiden überlappen: prüfen Sie den Nodata-Wert, die Maske, oder wählen Sie einen anderen Kanal</translation>
+    </message>
+    <message>
+      <source>is constant where the two overlap: there is nothing to match; choose another band</source>
+      <translation>ist konstant, wo sich die beiden überlappen: es gibt nichts zu vergleichen; wählen Sie einen anderen Kanal</translation>
+    </message>
+    <message>
+      <source>the rasters do not overlap: in {}, {} covers {} and {} covers {}: give two rasters of the same ground, or correct their georeferencing</source>
+      <translation>die Raster überlappen sich nicht: in {} bedeckt {} {} und {} {}: wählen Sie zwei Raster desselben Bodens, oder berichtigen Sie ihre Georeferenzierung</translation>
+    </message>
+    <message>
+      <source>bands of a product lie within metres of each other, and the matches agree on {}, probably clouds: mask them (--ref-mask, --tgt-mask), or give --prealign search if a band has been moved</source>
+      <translation>Kanäle eines Produkts liegen auf Meter genau beieinander, und die Treffer einigen sich auf {}, wohl Wolken: maskieren Sie diese (--ref-mask, --tgt-mask), oder wählen Sie --prealign search, wenn ein Kanal verschoben wurde</translation>
+    </message>
+    <message>
+      <source>and nothing tells which is that of the ground: give a mask (--ref-mask, --tgt-mask) with 0 on clouds and what else moves, or --prealign georef with a small --search-radius</source>
+      <translation>und nichts sagt, welche die des Bodens ist: geben Sie eine Maske (--ref-mask, --tgt-mask) mit 0 auf Wolken und was sich sonst bewegt, oder --prealign georef mit einem kleinen --search-radius</translation>
+    </message>
+    <message>
+      <source>only {} % of the matches agree with their neighbours</source>
+      <translation>nur {} % der Treffer stimmen mit ihren Nachbarn überein</translation>
+    </message>
+    <message>
+      <source>{} % of the common ground lies beyond the tie points</source>
+      <translation>{} % des gemeinsamen Bodens liegen jenseits der Passpunkte</translation>
+    </message>
+    <message>
+      <source>and the correction does not hold</source>
+      <translation>und die Korrektur trägt nicht</translation>
+    </message>
+    <message>
+      <source>Mask what moves, or choose images that are alike in what they show and taken from nearby viewpoints</source>
+      <translation>Maskieren Sie, was sich bewegt, oder wählen Sie Bilder, die Ähnliches zeigen und von ähnlichem Standpunkt aufgenommen sind</translation>
+    </message>
+    <message>
+      <source>the two agree at exactly the same pixels of both files, and</source>
+      <translation>die beiden stimmen an genau denselben Pixeln beider Dateien überein, und</translation>
+    </message>
+    <message>
+      <source>only in what stands still in both frames</source>
+      <translation>nur in dem, was in beiden Bildern stillsteht</translation>
+    </message>
+    <message>
+      <source>perhaps only in what stands still in both frames</source>
+      <translation>vielleicht nur in dem, was in beiden Bildern stillsteht</translation>
+    </message>
+    <message>
+      <source>a fixed pattern of the sensor, dust, vignetting, or text, lines and masks burnt in</source>
+      <translation>ein festes Muster des Sensors, Staub, Randabfall, oder eingebrannter Text, Linien und Masken</translation>
+    </message>
+    <message>
+      <source>only {} % of the places with structure agree there</source>
+      <translation>nur {} % der Orte mit Struktur stimmen dort überein</translation>
+    </message>
+    <message>
+      <source>once smoothed</source>
+      <translation>nach Glättung</translation>
+    </message>
+    <message>
+      <source>without small specks that both have</source>
+      <translation>ohne kleine Flecken, die beide haben</translation>
+    </message>
+    <message>
+      <source>without what whole columns or rows share</source>
+      <translation>ohne das, was ganze Spalten oder Zeilen gemeinsam haben</translation>
+    </message>
+    <message>
+      <source>without what differs from pixel to pixel as a sensor's pattern does</source>
+      <translation>ohne das, was wie das Muster eines Sensors von Pixel zu Pixel wechselt</translation>
+    </message>
+    <message>
+      <source>without it there is ground that has moved by about ({}, {}) px</source>
+      <translation>ohne dieses zeigt sich Boden, der um etwa ({}, {}) px verschoben ist</translation>
+    </message>
+    <message>
+      <source>mask it, correct the frames for it, or give their georeferencing</source>
+      <translation>maskieren Sie es, bereinigen Sie die Bilder davon, oder geben Sie ihre Georeferenzierung</translation>
+    </message>
+    <message>
+      <source>by the positions in their tags the cameras were {} m apart, and by focal length and height the frames show</source>
+      <translation>nach den Positionen in ihren Metadaten waren die Kameras {} m auseinander, und nach Brennweite und Höhe zeigen die Bilder</translation>
+    </message>
+    <message>
+      <source>what agrees may belong to the camera (its fixed pattern, dust, burnt-in text), or the ground repeats</source>
+      <translation>was übereinstimmt, kann zur Kamera gehören (festes Muster, Staub, eingebrannter Text), oder der Boden wiederholt sich</translation>
+    </message>
+    <message>
+      <source>the {} points of {} describe no common displacement (they scatter by {} of their spread): check their columns, and whose they are</source>
+      <translation>die {} Punkte von {} beschreiben keine gemeinsame Verschiebung (sie streuen um {} ihrer Ausdehnung): prüfen Sie ihre Spalten, und wozu sie gehören</translation>
+    </message>
+    <message>
+      <source>the search proposes ({}, {}) px (col, row), as it does by chance in one of {} pairs, and no tie points confirm it: check it by eye</source>
+      <translation>die Suche schlägt ({}, {}) px (Spalte, Zeile) vor, wie zufällig bei einem von {} Paaren, und keine Passpunkte bestätigen es: prüfen Sie es mit dem Auge</translation>
+    </message>
+    <message>
+      <source>{} has little more than two values, as a mask or a map of classes: match an image that it was made from, and move it by what that gives (shift)</source>
+      <translation>{} hat kaum mehr als zwei Werte, wie eine Maske oder Klassenkarte: vergleichen Sie ein Bild, aus dem es entstand, und verschieben Sie es um dessen Ergebnis</translation>
+    </message>
+    <message>
+      <source>fill small gaps (gdal_fillnodata.py), around which too few pixels are valid, or</source>
+      <translation>füllen Sie kleine Lücken (gdal_fillnodata.py), um die zu wenige Pixel gültig sind, oder</translation>
+    </message>
+    <message>
+      <source>if the two share a small part only, or their pixels differ more than four times in size, give both a rough geotransform (gdal_edit.py -a_ullr), right to some pixels, or</source>
+      <translation>haben die beiden nur wenig gemeinsam, oder sind ihre Pixel mehr als viermal verschieden groß, geben Sie beiden eine grobe Georeferenzierung (gdal_edit.py -a_ullr), auf einige Pixel genau, oder</translation>
+    </message>
+    <message>
+      <source>choose bands that look alike, or mask clouds and what has changed, unless the two do not show the same place</source>
+      <translation>wählen Sie Kanäle, die sich ähnlich sehen, oder maskieren Sie Wolken und was sich verändert hat, es sei denn, die beiden zeigen nicht denselben Ort</translation>
+    </message>
+    <message>
+      <source>many best matches lie on the edge of the search radius of {} px</source>
+      <translation>viele beste Treffer liegen am Rand des Suchradius von {} px</translation>
+    </message>
+    <message>
+      <source>raise --search-radius, or give --prealign search</source>
+      <translation>erhöhen Sie --search-radius, oder wählen Sie --prealign search</translation>
+    </message>
+    <message>
+      <source>the displacement may exceed the search radius of {} px (raise --search-radius), or the two may be turned against each other (give --prealign search)</source>
+      <translation>die Verschiebung kann größer sein als der Suchradius von {} px (erhöhen Sie --search-radius), oder die beiden sind gegeneinander gedreht (wählen Sie --prealign search)</translation>
+    </message>
+    <message>
+      <source>this is the best of {} starts, which a search over all rotations, scales and shifts found at</source>
+      <translation>das ist der beste von {} Ansätzen, die eine Suche über alle Drehungen, Maßstäbe und Verschiebungen fand, bei</translation>
+    </message>
+    <message>
+      <source>a search over the whole image found no start that holds</source>
+      <translation>eine Suche über das ganze Bild fand keinen Ansatz, der trägt</translation>
+    </message>
+    <message>
+      <source>around the shift that a search over the whole image found: give --prealign search with --search-radius</source>
+      <translation>um die Verschiebung, die eine Suche über das ganze Bild fand: wählen Sie --prealign search mit --search-radius</translation>
+    </message>
+    <message>
+      <source>this is from the shift that a search over the whole image found</source>
+      <translation>das gilt für die Verschiebung, die eine Suche über das ganze Bild fand</translation>
+    </message>
+    <message>
+      <source>rotation {} degrees, scale {} x {}, shear {} degrees</source>
+      <translation>Drehung {} Grad, Maßstab {} x {}, Scherung {} Grad</translation>
+    </message>
+    <message>
+      <source>The pixels of the {} may be {} times as small, and scales about that were tried too, as were those from ¼ to 4: if the true scale is another, reduce the larger frame first (gdal_translate -outsize)</source>
+      <translation>Die Pixel eines der Bilder ({}) sind vielleicht {}-mal so klein; Maßstäbe um diesen wurden auch versucht, wie die von ¼ bis 4: ist der wahre ein anderer, verkleinern Sie erst das größere Bild (gdal_translate -outsize)</translation>
+    </message>
+    <message>
+      <source>check also that the RPC in {} belongs to the target as it is, not to an image that it was cropped or decimated from</source>
+      <translation>prüfen Sie auch, ob der RPC in {} zum Ziel gehört, wie es ist, nicht zu einem Bild, aus dem es ausgeschnitten oder verkleinert wurde</translation>
+    </message>
+    <message>
+      <source>{} % of the matches agree on another displacement, ({}, {}) px beside the correction: what has moved, or ground at another depth, where it does not hold</source>
+      <translation>{} % der Treffer einigen sich auf eine andere Verschiebung, ({}, {}) px neben der Korrektur: was sich bewegt hat, oder Boden in anderer Tiefe, wo sie nicht gilt</translation>
+    </message>
+    <message>
+      <source>a tenth of the common ground is expected to lie more than {} px off after the {} correction</source>
+      <translation>ein Zehntel des gemeinsamen Bodens liegt voraussichtlich mehr als {} px daneben, auch nach der Korrektur ({})</translation>
+    </message>
+    <message>
+      <source>clouds that moved, relief, parallax, or too few tie points</source>
+      <translation>Wolken, die sich bewegt haben, Relief, Parallaxe oder zu wenige Passpunkte</translation>
+    </message>
+    <message>
+      <source>rows or columns move by {} px (RMS) within a matching window (jitter)</source>
+      <translation>Zeilen oder Spalten bewegen sich um {} px (RMS) innerhalb eines Vergleichsfensters (Jitter)</translation>
+    </message>
+    <message>
+      <source>a tenth of the {} check points lies more than {} px off the correction, {} times what their sigmas say</source>
+      <translation>ein Zehntel der {} Kontrollpunkte liegt mehr als {} px neben der Korrektur, das {}-Fache dessen, was ihre Sigmas sagen</translation>
+    </message>
+    <message>
+      <source>local displacements of {} px (68 % of the points) remain that the {} model does not take out: parallax of another viewpoint, relief or sensor jitter</source>
+      <translation>örtliche Verschiebungen von {} px (68 % der Punkte) bleiben, die das Modell {} nicht herausnimmt: Parallaxe eines anderen Standpunkts, Relief oder Jitter des Sensors</translation>
+    </message>
+    <message>
+      <source>the matching is no more precise on this pair</source>
+      <translation>der Vergleich ist bei diesem Paar nicht genauer</translation>
+    </message>
+    <message>
+      <source>most of them fit; the others lie on what moved, such as clouds, or at another depth</source>
+      <translation>die meisten passen; die anderen liegen auf Bewegtem wie Wolken, oder in anderer Tiefe</translation>
+    </message>
+    <message>
+      <source>noise of the images, or displacements smaller than a matching window</source>
+      <translation>Rauschen der Bilder, oder Verschiebungen kleiner als ein Vergleichsfenster</translation>
+    </message>
+    <message>
+      <source>{} % of the common ground lies beyond the tie points: there the correction is extrapolated, and nothing checks it</source>
+      <translation>{} % des gemeinsamen Bodens liegen jenseits der Passpunkte: dort ist die Korrektur extrapoliert, und nichts prüft sie</translation>
+    </message>
+    <message>
+      <source>{} % of the common ground shows nothing that could be matched, such as water, and lies beyond the tie points: the grade and the expected error are of the rest</source>
+      <translation>{} % des gemeinsamen Bodens zeigen nichts, was sich vergleichen ließ, wie Wasser, und liegen jenseits der Passpunkte: Note und erwarteter Fehler gelten für den Rest</translation>
+    </message>
+    <message>
+      <source>the {} correction bends beyond the tie points: {} % of the common ground shows nothing that could be matched, and lies up to {} px off the affine trend of the points. Choose --model affine if that ground matters</source>
+      <translation>die Korrektur ({}) biegt sich jenseits der Passpunkte: {} % des gemeinsamen Bodens zeigen nichts, was sich vergleichen ließ, und liegen bis zu {} px neben dem affinen Trend der Punkte. Wählen Sie --model affine, wenn dieser Boden wichtig ist</translation>
+    </message>
+    <message>
+      <source>a tenth of the tie points say that bands of one product lie more than {} m apart, which its geometry hardly allows: they may be on clouds, which each band sees elsewhere</source>
+      <translation>nach einem Zehntel der Passpunkte liegen Kanäle eines Produkts mehr als {} m auseinander, was dessen Geometrie kaum zulässt: sie liegen wohl auf Wolken, die jeder Kanal anderswo sieht</translation>
+    </message>
+    <message>
+      <source>the ground repeats, and the whole scene fits better at {}{} px (col, row) from the georeferencing: the tie points are probably one or more periods off; give --prealign search, or a better geotransform</source>
+      <translation>der Boden wiederholt sich, und die ganze Szene passt besser bei {}{} px (Spalte, Zeile) von der Georeferenzierung: die Passpunkte liegen wohl eine oder mehr Perioden daneben; wählen Sie --prealign search, oder geben Sie eine bessere Georeferenzierung</translation>
+    </message>
+    <message>
+      <source>the ground repeats, and the whole scene fits about as well at {}{} px (col, row) from the georeferencing: the tie points may be one or more periods off; check a place that does not repeat</source>
+      <translation>der Boden wiederholt sich, und die ganze Szene passt etwa gleich gut bei {}{} px (Spalte, Zeile) von der Georeferenzierung: die Passpunkte können eine oder mehr Perioden daneben liegen; prüfen Sie einen Ort, der sich nicht wiederholt</translation>
+    </message>
+    <message>
+      <source>{} % of the ground with structure, in one part, has no tie points and lies at about ({}, {}) px (col, row) from the georeferencing, {} px from the rest: a seam of a mosaic, what has moved, or clouds; there the correction does not hold. Where it is ground, raise --search-radius</source>
+      <translation>{} % des Bodens mit Struktur, in einem Stück, haben keine Passpunkte und liegen etwa ({}, {}) px (Spalte, Zeile) von der Georeferenzierung, {} px vom Rest: eine Mosaiknaht, Bewegtes oder Wolken; dort gilt die Korrektur nicht. Wo es Boden ist, erhöhen Sie --search-radius</translation>
+    </message>
+    <message>
+      <source>the residuals run along the parallax of height: a tenth of them are over {} px along it, {} px across: the DEM {} errs by {} m and more there, which no correction takes out; give a finer or better one</source>
+      <translation>die Restfehler folgen der Höhenparallaxe: ein Zehntel ist längs über {} px, quer {} px: das DGM {} irrt dort um {} m und mehr, was keine Korrektur herausnimmt; geben Sie ein feineres oder besseres</translation>
+    </message>
+    <message>
+      <source>the tie points are of a file without the results of their matching beside it: their own errors, and whether they were chosen by their residuals, are not known, so all figures may be too good</source>
+      <translation>die Passpunkte sind aus einer Datei, neben der die Ergebnisse ihres Vergleichs fehlen: ihre eigenen Fehler, und ob sie nach ihren Restfehlern ausgewählt wurden, sind unbekannt, alle Zahlen also vielleicht zu gut</translation>
+    </message>
+    <message>
+      <source>no georeferencing that the two share (CRS and geotransform) in</source>
+      <translation>keine gemeinsame Georeferenzierung (KBS und Geotransformation) in</translation>
+    </message>
+    <message>
+      <source>only their pixels tell how the two lie</source>
+      <translation>nur ihre Pixel sagen, wie die beiden liegen</translation>
+    </message>
+    <message>
+      <source>only the tie points given tell how the two lie</source>
+      <translation>nur die gegebenen Passpunkte sagen, wie die beiden liegen</translation>
+    </message>
+    <message>
+      <source>the two share too little structure and are matched by the relation of their grey values, from which slopes and shadows may depart: tie points share an error of some {} px per axis, which is part of their sigmas</source>
+      <translation>die beiden haben zu wenig Struktur gemeinsam und werden nach dem Zusammenhang ihrer Grauwerte verglichen, von dem Hänge und Schatten abweichen können: die Passpunkte teilen einen Fehler von etwa {} px je Achse, der Teil ihrer Sigmas ist</translation>
+    </message>
+    <message>
+      <source>--place is off</source>
+      <translation>die Lage von Hand liegt daneben</translation>
+    </message>
+    <message>
+      <source>the georeferencing is off</source>
+      <translation>die Georeferenzierung liegt daneben</translation>
+    </message>
+    <message>
+      <source>by about ({}, {}) px (col, row; of the coarser raster): found by a search</source>
+      <translation>um etwa ({}, {}) px (Spalte, Zeile; des gröberen Rasters): von einer Suche gefunden</translation>
+    </message>
+    <message>
+      <source>a search found the target at {}, beside where that puts it</source>
+      <translation>eine Suche fand das Ziel bei {}, gegenüber dem Ort, den sie ihm gibt</translation>
+    </message>
+    <message>
+      <source>tile {} left out</source>
+      <translation>Kachel {} ausgelassen</translation>
+    </message>
+    <message>
+      <source>windows of {} px give too few separate places to judge by: matched again with windows of {} px</source>
+      <translation>Fenster von {} px geben zu wenige getrennte Orte für ein Urteil: noch einmal verglichen mit Fenstern von {} px</translation>
+    </message>
+    <message>
+      <source>narrow overlap of {} px: matching windows shrunk to {} px (coarse), {} px (fine)</source>
+      <translation>schmale Überlappung von {} px: Vergleichsfenster verkleinert auf {} px (grob), {} px (fein)</translation>
+    </message>
+    <message>
+      <source>has an RPC, which counts for a reference with a DEM only: it is not used</source>
+      <translation>hat einen RPC, der bei einer Referenz nur mit DGM zählt: er wird nicht benutzt</translation>
+    </message>
+    <message>
+      <source>has a geotransform and an RPC: the RPC is not used; give --dem to use it</source>
+      <translation>hat eine Geotransformation und einen RPC: der RPC wird nicht benutzt; geben Sie --dem, um ihn zu benutzen</translation>
+    </message>
+    <message>
+      <source>the matches agree on {} different displacements</source>
+      <translation>die Treffer einigen sich auf {} verschiedene Verschiebungen</translation>
+    </message>
+    <message>
+      <source>px by {} points in {} separate places</source>
+      <translation>px nach {} Punkten an {} getrennten Orten</translation>
+    </message>
+    <message>
+      <source>the first was taken for that of the ground, the rest for clouds, what else moves or lies at another depth; there the correction does not hold</source>
+      <translation>die erste wurde für die des Bodens genommen, der Rest für Wolken, was sich sonst bewegt oder in anderer Tiefe liegt; dort gilt die Korrektur nicht</translation>
+    </message>
+    <message>
+      <source>the displacement holds parallax: {} px (RMS) across the epipolar lines, {} px along them beside what one plane gives: the tie points are right at every depth, and one smooth correction cannot follow them all</source>
+      <translation>die Verschiebung enthält Parallaxe: {} px (RMS) quer zu den Epipolarlinien, {} px längs neben dem, was eine Ebene ergibt: die Passpunkte stimmen in jeder Tiefe, und eine glatte Korrektur kann nicht allen folgen</translation>
+    </message>
+    <message>
+      <source>{} tie points around ({}, {}) px (col, row) of the target agree among themselves and lie ({}, {}) px off what all others predict: rejected as wrong matches; if the ground has moved there, or is at another depth, they are right, and the correction does not hold there</source>
+      <translation>{} Passpunkte um ({}, {}) px (Spalte, Zeile) des Ziels stimmen untereinander überein und liegen ({}, {}) px neben dem, was alle anderen vorhersagen: als falsche Treffer verworfen; hat sich der Boden dort bewegt, oder liegt er in anderer Tiefe, so stimmen sie, und die Korrektur gilt dort nicht</translation>
+    </message>
+    <message>
+      <source>{} points that the matching had kept are left out of {}: residuals of the fit are those of chosen points; the check points are still all that were held out before</source>
+      <translation>{} Punkte, die der Vergleich behalten hatte, fehlen in {}: Restfehler der Anpassung sind die ausgewählter Punkte; Kontrollpunkte sind noch alle, die zurückgehalten wurden</translation>
+    </message>
+    <message>
+      <source>rows or columns are displaced against each other by {} px (RMS) within a matching window, and a tie point is the mean over it: the raster was resampled by nearest neighbour, or its scanner shook (jitter: try a smaller --window with --model jitter)</source>
+      <translation>Zeilen oder Spalten sind innerhalb eines Vergleichsfensters um {} px (RMS) gegeneinander verschoben, und ein Passpunkt ist das Mittel darüber: das Raster wurde nach nächstem Nachbarn umgerechnet, oder sein Scanner zitterte (Jitter: versuchen Sie ein kleineres --window mit --model jitter)</translation>
+    </message>
+    <message>
+      <source>rising and falling edges lie ({}, {}) px (col, row) apart, as where one image shows heights, or other shadows: the tie points are means of the two, and share an error of half of that, which no residual shows and their sigmas hold</source>
+      <translation>steigende und fallende Kanten liegen ({}, {}) px (Spalte, Zeile) auseinander, wie wo ein Bild Höhen zeigt, oder andere Schatten: die Passpunkte sind Mittel von beiden und teilen einen Fehler von der Hälfte davon, den kein Restfehler zeigt und ihre Sigmas enthalten</translation>
+    </message>
+    <message>
+      <source>grey values lie ({}, {}) px (col, row) beside what the edges tell, as in other light: the tie points share an error of up to that, which no residual shows and their sigmas hold</source>
+      <translation>die Grauwerte liegen ({}, {}) px (Spalte, Zeile) neben dem, was die Kanten sagen, wie in anderem Licht: die Passpunkte teilen einen Fehler bis zu diesem, den kein Restfehler zeigt und ihre Sigmas enthalten</translation>
+    </message>
+    <message>
+      <source>what stands still in both frames agrees at no displacement; the ground was found about ({}, {}) px off, and is matched there</source>
+      <translation>was in beiden Bildern stillsteht, stimmt ohne Verschiebung überein; der Boden wurde etwa ({}, {}) px daneben gefunden und dort verglichen</translation>
+    </message>
+    <message>
+      <source>its sigmas are not calibrated</source>
+      <translation>ihre Sigmas sind nicht kalibriert</translation>
+    </message>
+    <message>
+      <source>is a drawn map: its lines lie where they can be read, up to some metres beside the ground, and names and symbols show nothing of it; an image is better</source>
+      <translation>ist eine gezeichnete Karte: ihre Linien liegen, wo sie lesbar sind, bis zu einige Meter neben dem Boden, und Namen und Zeichen zeigen nichts von ihm; ein Bild ist besser</translation>
+    </message>
+    <message>
+      <source>is georeferenced by ground control points: displacements count from the geotransform that fits them best, which is off by up to {} px; if that is much, raise --search-radius</source>
+      <translation>ist durch Passpunkte georeferenziert: Verschiebungen zählen von der am besten passenden Geotransformation, die bis zu {} px daneben liegt; ist das viel, erhöhen Sie --search-radius</translation>
+    </message>
+    <message>
+      <source>reference and target are the same file and band: the displacement is zero by construction</source>
+      <translation>Referenz und Ziel sind dieselbe Datei und derselbe Kanal: die Verschiebung ist von vornherein null</translation>
+    </message>
+    <message>
+      <source>reference and target are of the same product {}: the correction is applied to all its bands but the reference; it holds for those that lie as the target does</source>
+      <translation>Referenz und Ziel sind aus demselben Produkt {}: die Korrektur gilt allen seinen Kanälen außer der Referenz; sie stimmt für die, die wie das Ziel liegen</translation>
+    </message>
+    <message>
+      <source>a border of a scanned frame (tone about</source>
+      <translation>ein Rand eines gescannten Bildes (Ton etwa</translation>
+    </message>
+    <message>
+      <source>a constant border (value</source>
+      <translation>ein konstanter Rand (Wert</translation>
+    </message>
+    <message>
+      <source>of {} % of {} is taken for nodata; if it is data, declare another nodata value, or give a mask</source>
+      <translation>von {} % von {} gilt als Nodata; sind es Daten, so geben Sie einen anderen Nodata-Wert an, oder eine Maske</translation>
+    </message>
+    <message>
+      <source>values that nothing measures, such as {}, are taken for nodata ({} % of {}); declare them so (gdal_edit.py -a_nodata), or give a mask</source>
+      <translation>Werte, die nichts misst, wie {}, gelten als Nodata ({} % von {}); geben Sie sie so an (gdal_edit.py -a_nodata), oder eine Maske</translation>
+    </message>
+    <message>
+      <source>the DEM {} covers {} of {}: the rest is neither matched nor warped, as its heights are not known; the image lies at {}: give a DEM of all of it</source>
+      <translation>das DGM {} bedeckt {} von {}: der Rest wird weder verglichen noch entzerrt, da seine Höhen unbekannt sind; das Bild liegt bei {}: geben Sie ein DGM des ganzen</translation>
+    </message>
+    <message>
       <source>Folder of an earlier registration</source>
       <translation>Ordner einer früheren Registrierung</translation>
     </message>
