@@ -36,7 +36,8 @@ def steps() -> Iterator[int]:
     yield 1500
     for button in (dock.red_cyan_button, dock.edges_button):
         button.click()
-        yield 2500
+        while dock.views.composite._curtain.image.isNull():
+            yield 100
         curtain = dock.views.composite._curtain
         seen.setdefault("drawn", []).append([curtain.image.width(), curtain.image.height()])
         if button is dock.red_cyan_button:
@@ -50,9 +51,11 @@ def steps() -> Iterator[int]:
     seen["blinks_alone"] = [dock.edges_button.isChecked(), dock.views.composite._curtain is None]
     dock.edges_button.click()
     seen["blink_is_off"] = [dock.blink_button.isChecked(), dock.blink.isActive()]
+    yield from fade(dock)
     dock.tabs.setCurrentIndex(0)
     yield 300
     seen["page_left"] = [dock.edges_button.isChecked(), dock.views.composite._curtain is None]
+    seen["opaque again"] = dock.layers["after"].opacity()
     dock.tabs.setCurrentWidget(dock.compare_page)
     yield from heat(dock)
     dock.red_cyan_button.click()
@@ -83,6 +86,25 @@ def hold_space(dock: Any) -> Iterator[int]:
         [each.source() for each in canvas.layers()] == before,
         dock.views.composite._curtain.isVisible(),
     ]
+
+
+def fade(dock: Any) -> Iterator[int]:
+    """Make the result transparent over the layer as it was, and over the reference; press a button then."""
+    after, canvas = dock.layers["after"], iface.mapCanvas()
+    seen["fade"] = []
+    dock.fade_slider.setValue(60)
+    yield 500
+    for reference in (False, True):
+        dock.with_reference.setChecked(reference)
+        beneath = [each.source() for each in canvas.layers()][1:]
+        seen["fade"].append([canvas.layers()[0] == after, after.opacity(), beneath])
+    grab(iface.mainWindow(), "transparent")
+    dock.with_reference.setChecked(False)
+    seen["fade stops edges"] = dock.edges_button.isChecked()
+    dock.edges_button.click()
+    yield 300
+    seen["edges stop fade"] = [after.opacity(), dock.fade_slider.value(), len(canvas.layers()) > 2]
+    dock.fade_slider.setValue(30)
 
 
 def heat(dock: Any) -> Iterator[int]:

@@ -71,6 +71,16 @@ def test_one_way_to_look_is_on_and_draws_the_whole_map(seen: dict[str, Any]) -> 
     assert seen["without_reference"] == [False, True]
 
 
+def test_the_result_is_transparent_over_what_it_is_compared_with(seen: dict[str, Any]) -> None:
+    (first, opacity, before), (again, _, reference) = seen["fade"]
+    assert [first, again] == [True, True]
+    assert opacity == pytest.approx(0.4)
+    assert [Path(each).name for each in before + reference] == ["landsat_b10.tif", "landsat_b4.tif"]
+    assert seen["fade stops edges"] is False
+    assert seen["edges stop fade"] == [1.0, 0, True]
+    assert seen["opaque again"] == 1.0
+
+
 def test_space_shows_the_reference_while_it_is_held(seen: dict[str, Any]) -> None:
     layers, composite = seen["held"]
     assert [Path(each).name for each in layers] == ["landsat_b4.tif"]

@@ -2284,8 +2284,8 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Wischen</translation>
     </message>
     <message>
-      <source>Swipe and blink compare the result with the reference, not with the layer as it was.</source>
-      <translation>Wischen und Blinken vergleichen das Ergebnis mit der Referenz, nicht mit dem Layer, wie er war.</translation>
+      <source>Swipe, blink and transparency compare the result with the reference, not with the layer as it was.</source>
+      <translation>Wischen, Blinken und Transparenz vergleichen das Ergebnis mit der Referenz, nicht mit dem Layer, wie er war.</translation>
     </message>
     <message>
       <source>Compare with the reference</source>
@@ -2298,6 +2298,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Blink</source>
       <translation>Blinken</translation>
+    </message>
+    <message>
+      <source>Transparency</source>
+      <translation>Transparenz</translation>
+    </message>
+    <message>
+      <source>The result, so transparent, over the layer as it was or the reference.</source>
+      <translation>Das Ergebnis, so durchsichtig, über dem Layer, wie er war, oder der Referenz.</translation>
     </message>
     <message>
       <source>The reference in red and the result in cyan: grey where they agree.</source>

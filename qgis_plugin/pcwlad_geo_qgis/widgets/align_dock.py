@@ -107,12 +107,14 @@ class AlignDock(gui.QgsDockWidget):
             button.clicked.connect(lambda: self.open_earlier())
         composed = {"red_cyan": self.red_cyan_button, "edges": self.edges_button}
         others = self.swipe_button, self.blink_button
-        self.views = Views(self._canvas, self._bridge, composed, others, lambda: self.layers)
+        looked_at = self.fade_slider, lambda: self.layers, self._other
+        self.views = Views(self._canvas, self._bridge, composed, others, *looked_at)
         self.heat_button.toggled.connect(self._show_heat)
         self.swipe.setButton(self.swipe_button)
         self.swipe_button.toggled.connect(self._swipe)
         self.blink_button.toggled.connect(self._blink)
         self.with_reference.toggled.connect(lambda: self._swipe(self.swipe_button.isChecked()))
+        self.with_reference.toggled.connect(lambda: self._bridge.setCanvasLayers())
         self.blink.timeout.connect(self.turn)
         self.tabs.currentChanged.connect(lambda: self._turn_page())
         self.target.layerChanged.connect(lambda: self._turn_page())
@@ -359,7 +361,7 @@ class AlignDock(gui.QgsDockWidget):
     def _load(self, job: Job, results: dict[str, Any]) -> None:
         """Load the results, grouped, with the target's own style and name."""
         self._close_editor()
-        self.heat_button.setChecked(False)
+        self._stop_comparing()
         if self.tabs.currentWidget() is self.place:
             self.tabs.setCurrentIndex(ALIGN)  # it lies where it belongs
         self._pair = [job.parameters[name] for name in ("REFERENCE", "INPUT")]
@@ -431,8 +433,8 @@ class AlignDock(gui.QgsDockWidget):
         page = self.tabs.currentIndex()
         if page == POINTS and "reference" in self.layers:
             layers = [self.layers[role] for role in ("points", "reference") if role in self.layers]
-        elif page == COMPARE:  # the comparison of rasters, which nothing covers
-            layers = [each for each in layers if isinstance(each, core.QgsRasterLayer)]
+        elif page == COMPARE:
+            layers = self.views.shown(layers)
         self._canvas.setLayers([each for each in layers if each != self.place.layer])
 
     def _leave(self, ids: list[str]) -> None:

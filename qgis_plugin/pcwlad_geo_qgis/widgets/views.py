@@ -1,4 +1,4 @@
-"""Ways to look at a result beside swipe and blink: red and cyan, edges, the reference while Space is held."""
+"""Ways to look at a result beside swipe and blink: red and cyan, edges, transparency, the reference alone."""
 
 from __future__ import annotations
 
@@ -30,13 +30,21 @@ class Views(QtCore.QObject):
         bridge: gui.QgsLayerTreeMapCanvasBridge,
         composed: Mapping[str, QtWidgets.QAbstractButton],
         others: tuple[QtWidgets.QAbstractButton, ...],
+        fade: QtWidgets.QSlider,
         layers: Callable[[], Mapping[str, core.QgsMapLayer]],
+        other: Callable[[], list[core.QgsMapLayer]],
     ) -> None:
-        """Take what `layers` returns for the result: `after`, and `reference` where the project has it."""
+        """Take what `layers` returns for the result: `after`, and `reference` where the project has it.
+
+        `other` returns what lies below a result that is transparent, as the slider `fade` says in percent.
+        """
         super().__init__(canvas)
         self._canvas, self._bridge = canvas, bridge
         self.composite = Composite(canvas)
-        self._layers = layers
+        self._layers, self._other = layers, other
+        self._fade, self._opacity = fade, 1.0
+        self._faded: core.QgsMapLayer | None = None
+        fade.valueChanged.connect(self._turn_transparent)
         self._buttons = (*composed.values(), *others)
         self._held = False
         for button in self._buttons:
@@ -51,8 +59,30 @@ class Views(QtCore.QObject):
         """Show the map as it is."""
         for button in self._buttons:
             button.setChecked(False)
+        self._fade.setValue(0)
+
+    def shown(self, layers: list[core.QgsMapLayer]) -> list[core.QgsMapLayer]:
+        """Return what the map shows of layers: rasters, which nothing covers; two if one is transparent."""
+        if self._faded is not None:
+            return [self._faded, *self._other()]
+        return [each for each in layers if isinstance(each, core.QgsRasterLayer)]
+
+    def _turn_transparent(self, percent: int) -> None:
+        layer = self._layers().get("after")
+        if percent and layer is not None:
+            for button in self._buttons:
+                button.setChecked(False)
+            if self._faded is None:
+                self._faded, self._opacity = layer, layer.opacity()
+        if self._faded is not None and layer is not None:
+            layer.setOpacity(self._opacity * (1 - percent / 100))
+            layer.triggerRepaint()
+        if not percent:
+            self._faded = None
+        self._bridge.setCanvasLayers()
 
     def _alone(self, chosen: QtWidgets.QAbstractButton) -> None:
+        self._fade.setValue(0)
         for button in self._buttons:
             if button is not chosen:
                 button.setChecked(False)
