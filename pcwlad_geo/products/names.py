@@ -20,12 +20,17 @@ BAND_OF: Final = re.compile(
 """File name, without its suffix, of a band of a product."""
 DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
 """A date in a name."""
-_DAY_OF_YEAR: Final = re.compile(r"(?<!\d)((?:19|20)\d\d(?:[0-2]\d\d|3[0-5]\d|36[0-6]))T\d{6}(?!\d)")
-"""A date and time in the names of HLS, with the number of the day in its year."""
+_DAY_OF_YEAR: Final = re.compile(
+    r"(?<!\d)((?:19|20)\d\d(?:[0-2]\d\d|3[0-5]\d|36[0-6]))(?:T\d{6}|\.\d{4})(?!\d)"
+)
+"""A date and time in the names of HLS and VIIRS, with the number of the day in its year."""
 RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
 """Endings of the files of a folder that are taken for images."""
 PICTURES: Final = (".jpg", ".jpeg", ".png")
 """The same where a folder has none of these: frames, which beside others are previews."""
+
+HDF5_ENDINGS: Final = (".h5", ".he5", ".nc")
+"""Endings of the files of swaths and cubes."""
 
 
 def date_in(path: str) -> str | None:
@@ -47,6 +52,13 @@ def rasters_of(folder: PathLike) -> list[str]:
     files = [file for file in entries if file.suffix.casefold() in RASTERS]
     files = files or [file for file in entries if file.suffix.casefold() in PICTURES]
     return [os.fspath(file) for file in files if not is_quality_raster(file.name)]
+
+
+def cubes_of(folder: PathLike) -> list[str]:
+    """Return the files of a folder that are HDF5 or netCDF by their endings."""
+    return [
+        os.fspath(file) for file in sorted(Path(folder).iterdir()) if file.suffix.casefold() in HDF5_ENDINGS
+    ]
 
 
 def by_scene(names: Iterable[str], pattern: re.Pattern[str]) -> dict[str, dict[str, str]]:

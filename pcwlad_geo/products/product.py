@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster import Bands, open_raster
+from pcwlad_geo.raster import Bands, file_name, open_raster
 
 WAVELENGTHS: Final = re.compile(
     r"(?P<low>\d{3,5}(?:\.\d{1,3})?)(?:-(?P<high>\d{3,5}(?:\.\d{1,3})?))?nm", re.IGNORECASE
@@ -19,6 +19,8 @@ DARK_NM: Final = ((1350.0, 1450.0), (1800.0, 1960.0))
 """Wavelengths that water vapour absorbs, so that nearly no sunlight comes back to space."""
 _NEAR_NM: Final = 10.0
 """Largest distance of a band from the wavelength that names it, if it is not wider itself."""
+_ARRAY: Final = re.compile(r'HDF5:"(?P<file>.+?)"')
+"""Begin of GDAL's name of an array in a file."""
 _PIXEL_SIZE: Final = re.compile(r"_\d+m$")
 """End of the name of a band at one of several pixel sizes, such as B04_20m."""
 
@@ -162,6 +164,13 @@ class Product:
             for band in self.bands
             if not any(low < (band.wavelength_nm or 0.0) < high for low, high in DARK_NM)
         )
+
+    def stem_of(self, band: ProductBand) -> str:
+        """Return the name of a band's file, without its ending, and of the band where the file has others."""
+        array = _ARRAY.match(band.uri)
+        stem = Path(array["file"] if array else file_name(band.uri)).stem
+        alone = self.of_one_file or [other.uri for other in self.bands].count(band.uri) < 2
+        return stem if alone and array is None else f"{stem}_{band.name}"
 
     def single(self, path: Path) -> Product:
         """Return the product of one image's file alone, with the mask of the whole."""

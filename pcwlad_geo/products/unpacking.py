@@ -7,18 +7,16 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.finding import KINDS, stem_of
 from pcwlad_geo.products.jpeg_parts import part_files, part_stems
+from pcwlad_geo.products.names import HDF5_ENDINGS
 from pcwlad_geo.raster import FileTree
 from pcwlad_geo.raster.file_tree import is_archive, name_in, tree_of
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.text import part_of_jpeg
 from pcwlad_geo.types import PathLike
-
-_HDF5_ENDINGS: Final = (".h5", ".he5", ".nc")
 
 
 @contextmanager
@@ -80,6 +78,6 @@ def _hdf5_in(name: str) -> list[tuple[FileTree, str]]:
         tree = tree_of(path) if is_archive(path) and path.is_file() else None
     except (InputError, OSError, ValueError):  # it is told where the input is opened
         return []
-    members = [member for member in (tree.names if tree else ()) if member.lower().endswith(_HDF5_ENDINGS)]
+    members = [member for member in (tree.names if tree else ()) if member.lower().endswith(HDF5_ENDINGS)]
     known = KINDS.ask(lambda kind: any(map(kind.marks, map(name_in, members))), bool)
     return [(tree, member) for member in members] if tree and any(known) else []

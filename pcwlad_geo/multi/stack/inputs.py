@@ -17,7 +17,7 @@ from pcwlad_geo.events import EventCallback, Warned
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
-from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, date_in, rasters_of
+from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, cubes_of, date_in, rasters_of
 from pcwlad_geo.products.product import Product
 from pcwlad_geo.products.stac import mask_of, names_of, raster_assets, uri_of
 from pcwlad_geo.raster import Bands, RasterInfo, describe, file_name, is_folder, plain_name
@@ -105,7 +105,7 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
         elif len(products) == 1 and image in products and _is_many_images(products[image], band):
             yield from (_named(image, product_band.name) for product_band in products[image].showing_ground())
         elif is_folder(place) and image not in products:
-            files = rasters_of(place)
+            files = rasters_of(place) or [file for file in cubes_of(place) if find_product(file)]
             if not files:
                 raise InputError(f"{image} holds no raster ({', '.join(RASTERS + PICTURES)})")
             yield from (_named(file, band) for file in files if _has_band(file, band))
@@ -158,8 +158,9 @@ def _named(path: str, band: int | str, fields: Mapping[str, Any] | None = None) 
     """Return an image with the name of its file, and a date where its path tells one."""
     values = dict(fields or {})
     product = find_product(path)
-    file = path if product is None or not isinstance(band, str) else product.chosen(band)[0].uri
-    values["name"] = plain_name(values.get("name") or Path(file_name(file)).stem)
+    by_name = product is not None and isinstance(band, str)
+    stem = product.stem_of(product.chosen(band)[0]) if product and by_name else Path(file_name(path)).stem
+    values["name"] = plain_name(values.get("name") or stem)
     if not values.get("date") and (date := date_in(path)):
         values["date"] = date
     return StackInput(path, band, **values)
