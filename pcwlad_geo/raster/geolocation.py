@@ -111,6 +111,12 @@ class SwathGrid(Grid):
         file_px = swath_of(self.arrays).own_px(apply_inverse(self.file_transform, xy))
         return apply_inverse(self.transform, apply(self.file_transform, file_px))
 
+    def within_scans(self, at_px: Float64) -> Float64:
+        """Return (n, 2) pixels halfway between `at_px` and the middle rows of their scans, if any."""
+        file_px = apply_inverse(self.file_transform, apply(self.transform, at_px))
+        inner_px = swath_of(self.arrays).within_scans(file_px)
+        return apply_inverse(self.transform, apply(self.file_transform, inner_px))
+
     def observed_px(self, xy: Float64, forward: PixelMapping) -> Float64:
         """Map (n, 2) map coordinates `xy` to (n, 2) pixels that show them; a correction leaves no scan."""
         if self.transform != self.file_transform:

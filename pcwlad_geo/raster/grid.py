@@ -180,6 +180,10 @@ class Grid:
         """Path or GDAL URI of the raster whose geolocation arrays place the pixels, if any do."""
         return None
 
+    def within_scans(self, at_px: Float64) -> Float64:
+        """Return (n, 2) pixels near `at_px` around which the grid is smooth: none at the ends of scans."""
+        return at_px
+
     def observed_px(self, xy: Float64, forward: PixelMapping) -> Float64:
         """Map (n, 2) map coordinates `xy` to (n, 2) pixels that show them: `forward` of the predicted."""
         return forward(self.to_px(xy))

@@ -97,6 +97,14 @@ class Swath:
         """
         return in_chunks(lambda px: self._own(px, forward), np.asarray(flat_px, dtype=np.float64))
 
+    def within_scans(self, at_px: Float64) -> Float64:
+        """Return (n, 2) pixels halfway between `at_px` and the middle rows of their scans, if any."""
+        scans, scan = self.scans, self._scan_of(at_px)
+        if len(scans) == 2:
+            return at_px
+        middle_row = self.origin_px[1] + self.step_px[1] * ((scans[scan] + scans[scan + 1] - 1) / 2)
+        return np.column_stack([at_px[:, 0], (at_px[:, 1] + middle_row) / 2])
+
     def _flat(self, at_px: Float64, predicted: PixelMapping | None) -> Float64:
         places = at_px if predicted is None else predicted(at_px)
         flat, _ = self._continued(places, self._scan_of(at_px))

@@ -18,10 +18,13 @@ import pcwlad_geo
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.job import match_files
 from pcwlad_geo.multi.qa import run as qa_run
+from pcwlad_geo.multi.stack.finished import earlier_pairs
+from pcwlad_geo.multi.stack.frame import frame_of
+from pcwlad_geo.multi.stack.inputs import listed, readable_images
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.products.unpacking import unpacked
-from pcwlad_geo.raster import WGS84, describe, open_raster, transform_xy
+from pcwlad_geo.raster import WGS84, Grid, describe, open_raster, transform_xy
 from pcwlad_geo.registration import resolve
 from tests.product_files import packed
 from tests.scenes import make_grid, render, write
@@ -103,6 +106,11 @@ def reference(folder: Path) -> Path:
     return write(folder / "reference.tif", render(grid), grid)
 
 
+def readable(paths: list[Path]) -> Any:
+    """Return the images of a stack, and what is known of them."""
+    return readable_images(paths, Settings(), lambda _: None)[:2]
+
+
 def check_points(points: Any) -> None:
     """Check the displacement, and that no point lies in the cloud."""
     points = points[points.status != "rejected"]
@@ -165,9 +173,42 @@ def test_ecostress_is_matched_and_compared(ecostress: Path, tmp_path: Path) -> N
     assert (pair.status, pair.name) == ("measured", "radiance_4 – LST")
 
 
-def test_a_stack_says_how_it_takes_a_swath(ecostress: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no plain geotransform.*what register has made"):
-        pcwlad_geo.stack([ecostress], out_dir=tmp_path / "stack")
+def test_a_stack_places_a_swath_on_a_map(ecostress: Path, tmp_path: Path) -> None:
+    paths = [ecostress / LST, reference(tmp_path)]
+    out = pcwlad_geo.stack(paths, out_dir=tmp_path / "stack", **QUICK | {"features": 120})
+    assert (out.reference, out.pairs[0].target) == ("reference", f"{Path(LST).stem}_LST")
+    with open_raster(str(tmp_path / "stack" / f"{Path(LST).stem}_LST_lonlat.tif")) as file:
+        shown = transform_xy(file.read().reshape(2, -1).T, WGS84, SWATH.crs)
+    inside = np.abs(pixels(SWATH)[:, 1] % 32 - 16) < 13  # what is beyond shows another scan
+    away_px = SWATH.to_px(shown) - SWATH.to_px(SWATH.to_xy(pixels(SWATH) - SHIFT_PX))
+    assert np.median(np.abs(away_px[inside]), axis=0).max() < 0.1
+    assert not (tmp_path / "stack" / f"{Path(LST).stem}_LST_corrected.vrt").exists()
+    with open_raster(str(out.images[0].registered)) as file:
+        image, grid = file.read(1), describe(file.name).grid
+    valid = image > 0
+    assert np.corrcoef(image[valid], render(grid)[valid])[0, 1] > 0.99
+    earlier = earlier_pairs(tmp_path / "stack", frame_of(*readable(paths), None, "auto"))
+    assert earlier == [(0, 1)]
+
+
+def test_swaths_alone_are_stacked_on_longitudes_and_latitudes(ecostress: Path) -> None:
+    frame = frame_of(*readable([ecostress]), None, "auto")
+    assert (type(frame.grid), frame.grid.crs) == (Grid, WGS84)
+    assert frame.directed((0, 1)) == (0, 1)
+    assert frame.pixel(0) == pytest.approx(1, abs=0.3)
+    at = np.array([[40.0, 50.0], [120.0, 70.0]])
+    np.testing.assert_allclose(frame.to_image(1, frame.from_image(0, at)), at, atol=0.01)
+
+
+def test_a_folder_of_swaths_is_a_stack_with_names_and_dates(viirs: Path, tmp_path: Path) -> None:
+    for path in viirs.iterdir():
+        for day in ("A2024017", "A2024033"):
+            (tmp_path / path.name.replace("A2024017", day)).symlink_to(path)
+    images = list(listed([tmp_path], "I04"))
+    later = VIIRS.replace("A2024017", "A2024033")
+    assert [image.name for image in images] == [f"{Path(name).stem}_I04" for name in (VIIRS, later)]
+    assert [image.date for image in images] == ["2024-01-17", "2024-02-02"]
+    assert {image.describe().mask_kind for image in images} == {"Integer_Cloud_Mask"}
 
 
 @pytest.mark.parametrize(

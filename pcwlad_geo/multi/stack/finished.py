@@ -58,10 +58,10 @@ def earlier_pairs(folder: Path, frame: StackFrame) -> list[tuple[int, int]]:
         same = {image["name"]: image["given"]["path"] for image in before["images"]}
         now = {image_input.name: image_input.path for image_input in frame.inputs}
         if before["chosen"] == "auto" and same.items() <= now.items():
-            return [
-                (frame.names.index(pair["reference"]), frame.names.index(pair["target"]))
-                for pair in before["pairs"]
-            ]
+            ends = (
+                [frame.names.index(pair[end]) for end in ("reference", "target")] for pair in before["pairs"]
+            )
+            return [(min(pair), max(pair)) for pair in ends]
     return []
 
 

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
+from pcwlad_geo.correction.models import AffineCorrection
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.multi.stack.inputs import StackInput, check_reference
-from pcwlad_geo.raster import Grid, RasterInfo, jacobian, map_px
+from pcwlad_geo.raster import Grid, GridRequest, RasterInfo, jacobian, map_px, output_grids
 from pcwlad_geo.types import Float64
 
 
@@ -45,7 +47,21 @@ class StackFrame:
         """Return the (n, 2, 2) Jacobian of `from_image` at the (n, 2) `px` of an image."""
         if not self.georeferenced:
             return np.broadcast_to(np.eye(2), (len(px), 2, 2))
-        return jacobian(px, self.infos[image].grid, self.grid)
+        own_grid = self.infos[image].grid
+        return jacobian(own_grid.within_scans(px), own_grid, self.grid)
+
+    def outline(self, image: int) -> shapely.Geometry:
+        """Return the ground that an image shows by its georeferencing, a polygon in px of the frame."""
+        outline_px = self.from_image(image, self.infos[image].grid.boundary_px())
+        if self.infos[image].grid.swath_uri:  # the ends of its scans overlap, and some pixels have no place
+            return shapely.MultiPoint(outline_px[np.isfinite(outline_px).all(axis=1)]).convex_hull
+        return shapely.Polygon(outline_px)
+
+    def directed(self, pair: tuple[int, int]) -> tuple[int, int]:
+        """Return a pair with the image first that can be the reference: one on a map before a swath."""
+        one, other = pair
+        swaths = [self.infos[image].grid.swath_uri is not None for image in pair]
+        return (other, one) if swaths == [True, False] else (one, other)
 
     def pixel(self, image: int) -> float:
         """Return the side of a pixel in the middle of an image, px of the frame."""
@@ -55,7 +71,9 @@ class StackFrame:
 def frame_of(
     inputs: Sequence[StackInput], infos: list[RasterInfo], reference: str | None, model: str
 ) -> StackFrame:
-    """Return the frame of images: the grid of the reference, a name, or of the first.
+    """Return the frame of images: the grid of the reference, a name, or of the first on a map.
+
+    A swath has no grid that others could lie on: as the reference it has one of longitudes and latitudes.
 
     Raises `InputError` if the reference is none of them, or they are not of one kind; `SettingsError` if the
     model does not suit them.
@@ -63,11 +81,8 @@ def frame_of(
     names = [image.name for image in inputs]
     check_reference(reference, names)
     for name, info in zip(names, infos, strict=True):
-        if type(info.grid) is not Grid:
-            raise InputError(
-                f"{name} has no plain geotransform, and a stack takes images with one, or with none: of a "
-                "swath give what register has made of it on a map (…_registered.tif)"
-            )
+        if type(info.grid) is not Grid and not info.grid.swath_uri:
+            raise InputError(f"{name} has no plain geotransform: a stack takes images with one, or with none")
     lacking = [name for name, info in zip(names, infos, strict=True) if not info.georeferenced]
     if lacking and len(lacking) < len(names):
         raise InputError(
@@ -77,5 +92,10 @@ def frame_of(
         raise SettingsError(
             "model = 'projective': a homography an image is for frames without georeferencing"
         )
-    number = 0 if reference is None else names.index(reference)
-    return StackFrame(names, infos, infos[number].grid, not lacking, tuple(inputs), number)
+    on_map = [number for number, info in enumerate(infos) if not info.grid.swath_uri]
+    number = next(iter(on_map), 0) if reference is None else names.index(reference)
+    grid = infos[number].grid
+    if grid.swath_uri:
+        still = AffineCorrection("shift", np.eye(2, 3))
+        (grid,) = output_grids(grid, grid, still, GridRequest("target"), [grid])
+    return StackFrame(names, infos, grid, not lacking, tuple(inputs), number)

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from shapely import Polygon, box
+from shapely import box
 
 from pcwlad_geo.band_warping import WarpOutput
 from pcwlad_geo.correction.models import AffineCorrection, Correction
@@ -23,7 +23,9 @@ from pcwlad_geo.multi.stack.result import Stack
 from pcwlad_geo.multi.stack.rpc_outputs import rpc_names, warp_image
 from pcwlad_geo.multi.stack.verdict import grade_images, judge_stack
 from pcwlad_geo.options import Settings
+from pcwlad_geo.outputs.files import OUTPUT_NAMES
 from pcwlad_geo.outputs.folder import OutputFolder
+from pcwlad_geo.outputs.geolayers import write_lon_lat
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.outputs.stac import COLLECTION
 from pcwlad_geo.raster import GridRequest, OutputFormat
@@ -39,7 +41,8 @@ VRT: Final = "{}_corrected.vrt"
 def check_places(job: StackJob, out: OutputFolder, frame: StackFrame, sources: Sequence[PathLike]) -> None:
     """Raise where a result would replace an input, or a file that no earlier stack has written."""
     extension = OutputFormat.of(job.settings.of, job.settings.co).extension
-    templates = (f"{{}}_registered.{extension}", VRT, ITEM)
+    geolayers = OUTPUT_NAMES["lon_lat"].replace("stem", "")
+    templates = (f"{{}}_registered.{extension}", VRT, geolayers, ITEM)
     files = [name.format(image) for image in frame.names for name in templates]
     names = [*FILES, *files, COLLECTION, *rpc_names(frame.names)]
     inputs = [*sources, *(info.uri for info in frame.infos)]
@@ -100,8 +103,12 @@ def write_registered(job: StackJob, frame: StackFrame, names: Collection[str], r
         accuracy = accuracy_of(image, frame.grid.crs)
         tags = accuracy.tags() if accuracy else {}
         warp_onto(frame, number, image.correction, image.registered, job.settings, tell, tags)
-        if isinstance(image.correction, AffineCorrection):
-            name, info = VRT.format(image.name), frame.infos[number]
+        info = frame.infos[number]
+        if info.grid.swath_uri:
+            geolayers = result.out_dir / OUTPUT_NAMES["lon_lat"].format(stem=image.name)
+            write_lon_lat(geolayers, image.correction, info.grid)
+        elif isinstance(image.correction, AffineCorrection):
+            name = VRT.format(image.name)
             place = job.folder / name
             grid = info.grid.in_turn_of(frame.grid)
             write_corrected_vrt(result.out_dir / name, info.uri, image.correction, grid, final_path=place)
@@ -122,7 +129,7 @@ def warp_onto(
     fmt = replace(OutputFormat.of(settings.of, settings.co), tags=tags)
     exact = settings if settings.like is not None else replace(settings, grid="reference-exact")
     extent = box(0.0, 0.0, *frame.grid.shape[::-1])
-    outside = not Polygon(frame.from_image(number, info.grid.boundary_px())).intersects(extent)
+    outside = not frame.outline(number).intersects(extent)
     # an image beside the reference gets an extent of its own, on the same lattice
     request = requested_grid(replace(exact, grid="reference") if outside else exact)
     ratio = _band_px_per_frame_px(frame, number, settings)

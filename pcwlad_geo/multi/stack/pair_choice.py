@@ -101,10 +101,7 @@ def candidates(
     the correlation of the overviews first (bands of one kind, one season, without clouds), then on season,
     sun, years between the images and clouds by the metadata, common ground and the ratio of pixel sizes.
     """
-    outlines = [
-        shapely.Polygon(frame.from_image(number, info.grid.boundary_px()))
-        for number, info in enumerate(frame.infos)
-    ]
+    outlines = [frame.outline(number) for number in range(len(frame.infos))]
     correlation = _correlations(frame, overviews, shapely.total_bounds(outlines), parameters.overlap_cells)
     pixel = [frame.pixel(number) for number in range(len(frame.infos))]
     pairs = []
@@ -117,7 +114,7 @@ def candidates(
     return sorted(pairs, key=lambda candidate: (candidate.cost, candidate.pair))
 
 
-def _overlap(one: shapely.Polygon, other: shapely.Polygon) -> float:
+def _overlap(one: shapely.Geometry, other: shapely.Geometry) -> float:
     smaller = min(one.area, other.area)
     return float(one.intersection(other).area / smaller) if smaller > 0 else 0.0
 

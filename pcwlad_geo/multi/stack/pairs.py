@@ -79,6 +79,7 @@ def measure(
     Pairs of few tiles are matched in parallel, each as a whole; larger ones one after another, their tiles in
     parallel.
     """
+    pairs = [frame.directed(pair) for pair in pairs]
     tasks = [_task(frame, pair, folder, settings) for pair in pairs]
     on_event(Progress("pairs", 0, len(tasks)))
     todo = [number for number, task in enumerate(tasks) if overwrite or not task.finished()]

@@ -30,6 +30,8 @@ from pcwlad_geo.types import Float64
 
 POSITION_NODES: Final = 15
 """Number of nodes along each axis of an image at which its correction is fitted and its sigma averaged."""
+SWATH_ORDER: Final = 3
+"""Order of the polynomial that is fitted to the correction of a swath."""
 
 
 def stack_of(
@@ -99,7 +101,8 @@ def _image(
     registered: Path,
     pairs_in_use: Sequence[StackPair],
 ) -> StackImage:
-    at_px = frame.infos[number].grid.lattice_px(POSITION_NODES)
+    own_grid = frame.infos[number].grid
+    at_px = own_grid.within_scans(own_grid.lattice_px(POSITION_NODES))
     ground = frame.from_image(number, at_px)
     observed_px = frame.to_image(number, ground + adjustment.displacement(number, ground))
     scale = inverse(frame.scale(number, at_px))
@@ -107,7 +110,7 @@ def _image(
     correction = (
         adjustment.correction(number)
         if isinstance(adjustment, FrameAdjustment)
-        else _correction(at_px, observed_px, adjustment.basis)
+        else _correction(at_px, observed_px, adjustment.basis, on_map=own_grid.swath_uri is None)
     )
     frame_px, group = float(abs(np.linalg.det(scale)).mean() ** -0.5), int(adjustment.group[number])
     values = position_values(frame, number, observed_px - at_px, covariance, pairs_in_use, group)
@@ -145,8 +148,11 @@ def position_values(
     }
 
 
-def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correction:
-    """Return the correction in px of the file, fitted to (n, 2) positions `at_px` and their `observed_px`."""
+def _correction(at_px: Float64, observed_px: Float64, basis: Basis, *, on_map: bool) -> Correction:
+    """Return the correction in px of the file, fitted to (n, 2) positions `at_px` and their `observed_px`.
+
+    The pixels of a swath, which is not on a map grid, grow to its sides: what is a shift on the ground bends.
+    """
     if not isinstance(basis, PolynomialBasis):
         low, high = at_px.min(axis=0), at_px.max(axis=0)
         spacing = float((high - low).min()) / (2 * SPLINES.cells)  # finer, as the two grids do not coincide
@@ -154,12 +160,12 @@ def _correction(at_px: Float64, observed_px: Float64, basis: Basis) -> Correctio
         grid = SplineGrid(float_pair(low), spacing, (across, down))
         fitted = least_squares(grid.design(at_px).toarray(), observed_px - at_px)
         return SplineCorrection("tps", grid, np.asarray(fitted.reshape(*grid.shape, 2)))
-    if basis.order == 0:
+    if basis.order == 0 and on_map:
         shift = np.mean(observed_px - at_px, axis=0)
         return AffineCorrection("shift", np.column_stack([np.eye(2), shift]))
-    if basis.order == 1:
+    if basis.order == 1 and on_map:
         return AffineCorrection.fit(at_px, observed_px)
-    image_basis = polynomial_over([at_px], basis.order)
+    image_basis = polynomial_over([at_px], basis.order if on_map else SWATH_ORDER)
     return PolynomialCorrection(
         f"polynomial{image_basis.order}",
         image_basis,

@@ -98,8 +98,8 @@ def stack(
         Number of the band that is matched, or its name in products.
     reference : str, optional
         Name or file of the image whose grid is the frame, or a web map; by default the web map among the
-        images, or the first of them. Of images with RPCs, what fixes them: an image on the map, or one of
-        them that stays; by default their mean stays.
+        images, or the first of them on a map. Of images with RPCs, what fixes them: an image on the map, or
+        one of them that stays; by default their mean stays.
     datum : {"reference", "mean"}
         What stays: the reference, or the mean position of all images.
     pairs : path, optional
