@@ -27,7 +27,7 @@ from benchmarks.pairs import landsat, read, rgbnir
 from benchmarks.tables import Cell, Check, Table, as_text, at_most
 from benchmarks.timing import cheapest
 from pcwlad_geo.execution.runner import one_opencv_thread
-from pcwlad_geo.matching import Image, MatchSettings, keypoints
+from pcwlad_geo.matching import Image, MatchingWindow, MatchSettings, keypoints
 from pcwlad_geo.matching.coarse import CoarseMatches, match_coarsely
 from pcwlad_geo.matching.first_pass import margin_px
 from pcwlad_geo.matching.maps import scene_epsilon
@@ -110,7 +110,7 @@ def matches(files: Files) -> Matches:
     reference, target = (_whole(image[:rows, :cols]) for image in images)
     pair = prepare(reference, target, channels="orientations")
     usable = np.zeros((rows, cols), bool)
-    margin = margin_px(MatchSettings(window=WIDEST_PX))
+    margin = margin_px(MatchSettings(window=MatchingWindow(WIDEST_PX)))
     usable[margin:-margin, margin:-margin] = True
     corners, response = keypoints.detect_corners(pair.reference_map.values, usable, pair.contrast)
     corners = keypoints.strongest(corners, response, POINTS)

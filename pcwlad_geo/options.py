@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypedDict, TypeVar, cast, get_args, get_
 from pcwlad_geo.arguments import described, fits, shown
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import LIMITS
-from pcwlad_geo.matching import Consensus, Keypoints, Method
+from pcwlad_geo.matching import Consensus, Keypoints, MatchingWindow, Method
 from pcwlad_geo.raster import Trust
 
 Model = Literal[
@@ -470,6 +470,11 @@ class Settings:
     def trust(self) -> Trust:
         """Permissions of the rasters of the job to make GDAL open files."""
         return Trust(self.allow_remote, self.trust_vrt, self.sign or "")
+
+    @property
+    def matching_window(self) -> MatchingWindow:
+        """The matching window that `window` gives or leaves open."""
+        return MatchingWindow.of(self.window)
 
     @property
     def files(self) -> tuple[Path | str, ...]:

@@ -23,7 +23,7 @@ from rasterio.windows import Window
 
 from benchmarks.speed_studies.scene_files import ScenePair
 from benchmarks.timing import Cost, cheapest
-from pcwlad_geo.matching import Image, MatchSettings, keypoints
+from pcwlad_geo.matching import Image, MatchingWindow, MatchSettings, keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
 from pcwlad_geo.matching.first_pass import margin_px
 from pcwlad_geo.matching.kernels.library import fast_even
@@ -36,7 +36,7 @@ from pcwlad_geo.raster import describe, plan_views
 from pcwlad_geo.registration.planning import plan
 from pcwlad_geo.registration.starts.overviews import read_overviews
 
-ALL_POINTS: Final = MatchSettings(window=81, search_radius=12)
+ALL_POINTS: Final = MatchSettings(window=MatchingWindow(81), search_radius=12)
 """What `--points all --window 81` comes to on a georeferenced scene."""
 
 
@@ -88,7 +88,7 @@ def refinement_ms(pair: ScenePair, windows: Sequence[int], points: int, repeats:
 
 def _corners(pair: PreparedPair, count: int) -> NDArray[np.intp]:
     """Return about so many corners, spread by cell, far enough from the edges for all windows."""
-    margin = margin_px(MatchSettings(window=129))
+    margin = margin_px(MatchSettings(window=MatchingWindow(129)))
     usable = np.zeros(pair.reference_map.values.shape, bool)
     usable[margin:-margin, margin:-margin] = True
     corners, response = keypoints.detect_corners(pair.reference_map.values, usable, pair.contrast)

@@ -7,6 +7,7 @@ from .prepare import Image
 from .second_pass import rematch_with
 from .shift_search import search_shift
 from .types import MatchSettings, TiePoints
+from .window import MatchingWindow
 from .windows import Scales
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Image",
     "Keypoints",
     "MatchSettings",
+    "MatchingWindow",
     "Method",
     "Scales",
     "TiePoints",

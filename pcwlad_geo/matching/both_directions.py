@@ -56,7 +56,7 @@ def refine_both(
     if not TRAITS[settings.method].backward:
         ok = np.ones(len(corners), bool)
         if settings.method == "pcwlad":
-            ok = passes_paper(pair, corners, start, forward, settings.window, settings.ssim_min)
+            ok = passes_paper(pair, corners, start, forward, settings.window.side_px, settings.ssim_min)
         return forward, ok, forward_backward
     mean, covariance = forward.shift_xy_px.copy(), forward.covariance_px2.copy()
 
@@ -111,13 +111,13 @@ def _refine_one_way(
 ) -> Refined:
     traits = TRAITS[settings.method]
     if traits.structure == "filter":
-        start = replace(start, structure=shared_structure(pair, corners, start, settings.window))
+        start = replace(start, structure=shared_structure(pair, corners, start, settings.window.side_px))
     refined = partial(
         refine,
         pair.reference,
         pair.target,
         corners,
-        window_px=settings.window,
+        window_px=settings.window.side_px,
         step_px=step_px,
         affine=traits.affine,
         iterations=settings.iterations,
@@ -128,7 +128,9 @@ def _refine_one_way(
     if traits.structure == "filter":
         # taken once, at the whole-pixel match, the structure would pull the answer towards that pixel
         start = InitialEstimate(result.shift_xy_px, result.linear)
-        result = refined(replace(start, structure=shared_structure(pair, corners, start, settings.window)))
+        result = refined(
+            replace(start, structure=shared_structure(pair, corners, start, settings.window.side_px))
+        )
     return result
 
 

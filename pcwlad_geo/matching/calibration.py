@@ -94,7 +94,7 @@ def calibrate(
     residual, share = np.full((len(points), 2), np.nan), 0.0
     if surface is not None:
         residual, share = field.independent_residual(
-            points.reference_xy_px, points.displacement_px, settings.window, surface
+            points.reference_xy_px, points.displacement_px, settings.window.side_px, surface
         )
     scale = sigma_scale(residual, points.covariance_px2)
     if window_variance_px2 is not None and len(points):

@@ -42,7 +42,7 @@ class Core:
 
 def margin_px(settings: MatchSettings) -> int:
     """Return how far beyond a corner the windows reach, search included, px."""
-    return max(settings.template, *settings.windows) // 2 + settings.search_radius + 16
+    return max(settings.template, *settings.window.all_px) // 2 + settings.search_radius + 16
 
 
 def match_candidates(
@@ -150,7 +150,7 @@ def _corners(pair: PreparedPair, core: Core, settings: MatchSettings) -> Index:
     """Return the candidates of the core: row, column array indices."""
     if core.row >= core.row_stop:
         return np.zeros((0, 2), np.intp)
-    side = max(settings.template, settings.window)
+    side = max(settings.template, settings.window.side_px)
     share = cv2.blur(pair.reference_map.valid, (side, side), borderType=cv2.BORDER_CONSTANT)
     least = least_share(settings.least_valid, pair.channels.reference.open_share)
     usable = (share >= least) & (pair.reference_map.valid > 0)

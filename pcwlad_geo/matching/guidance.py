@@ -86,13 +86,13 @@ def guide_by_field(
         return FieldGuide(np.zeros((len(points), 2, 2)), nowhere, None, 0.0, one_way=False)
     xy, displacement = points.reference_xy_px, points.displacement_px
     linear, linear_sigma = field.global_affine(xy, displacement)
-    reach = max(settings.windows) / 2 * np.sqrt(2)
+    reach = max(settings.window.all_px) / 2 * np.sqrt(2)
     size = np.abs(linear)
     if size.max() * reach < GUIDANCE.least_deformation_px or (size < 3 * linear_sigma).all():
         linear = np.zeros((2, 2))
     everywhere = np.tile(linear, (len(points), 1, 1))
     one_way = forward_is_enough(points.forward_backward_px, settings)
-    choice = field.choose_surface(xy, displacement, settings.window, threads)
+    choice = field.choose_surface(xy, displacement, settings.window.side_px, threads)
     surface = choice.surface if choice.smooth else None
     if settings.consensus == "off" or surface is None:
         return FieldGuide(everywhere, nowhere, surface, 0.0, one_way)
@@ -100,7 +100,7 @@ def guide_by_field(
     rough = predicted.scatter_px > 3 * np.nanmedian(predicted.scatter_px)
     pulled = np.linalg.norm(displacement - predicted.displacement_px, axis=1) > GUIDANCE.most_pull_px
     structure = np.where((rough | pulled)[:, None], np.nan, predicted.displacement_px)
-    shared = shared_variance(xy, choice.residual_px, settings.window, surface.count)
+    shared = shared_variance(xy, choice.residual_px, settings.window.side_px, surface.count)
     linear = _local(everywhere, predicted, reach)
     led_one_way = one_way or len(points) >= GUIDANCE.one_way_from
     return FieldGuide(linear, structure, surface, shared, one_way, led_one_way)

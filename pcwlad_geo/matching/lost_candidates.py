@@ -17,7 +17,8 @@ from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import InitialEstimate
 from pcwlad_geo.matching.second_pass import rematch_with, step_of
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
-from pcwlad_geo.matching.windows import WINDOWS, Scales
+from pcwlad_geo.matching.window import WINDOWS, MatchingWindow
+from pcwlad_geo.matching.windows import Scales
 from pcwlad_geo.types import Float64, Index
 
 
@@ -47,7 +48,7 @@ def try_again(
     `scales` of the second pass. Return them, in pixel coordinates of the arrays and not yet checked against
     one another, and their (m,) index among the candidates.
     """
-    widest = max(settings.template, *settings.windows)  # the arrays reach as far
+    widest = max(settings.template, *settings.window.all_px)  # the arrays reach as far
     largest = max(scales.windows_px)
     window_px = widest if largest >= WINDOWS.largest_px else max(min(RETRY.least_window_px, widest), largest)
     corners = np.floor(candidates.reference_xy_px[:, ::-1]).astype(np.intp)
@@ -60,7 +61,7 @@ def try_again(
         pair,
         corners,
         InitialEstimate(candidates.guide.structure_xy_px, candidates.guide.linear),
-        replace(settings, window=window_px),
+        replace(settings, window=MatchingWindow(window_px)),
         "always",
         step_of(window_px),
     )
@@ -119,7 +120,7 @@ def expect_lost(
     xy, displacement = points.reference_xy_px, points.displacement_px
     if len(points) < GUIDANCE.least_points:
         xy_px = xy_px[:0]
-    surface = guide.surface or field.choose_surface(xy, displacement, settings.window).surface
+    surface = guide.surface or field.choose_surface(xy, displacement, settings.window.side_px).surface
     predicted = predict(xy, displacement, xy_px, surface)
     linear = np.tile(guide.linear[:1], (len(xy_px), 1, 1))
     if (guide.linear != guide.linear[:1]).any():

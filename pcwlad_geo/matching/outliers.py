@@ -54,7 +54,7 @@ OUTLIERS: Final = OutlierParameters()
 def consistent_points(points: TiePoints, settings: MatchSettings) -> Bool:
     """Return the (n,) mask of the `points` that agree with their neighbours in windows of `settings`."""
     sigma = np.sqrt(np.trace(points.covariance_px2, axis1=1, axis2=2))
-    return consistent(points.reference_xy_px, points.displacement_px, sigma, settings.window)
+    return consistent(points.reference_xy_px, points.displacement_px, sigma, settings.window.side_px)
 
 
 def consistent(xy_px: Float64, displacement_px: Float64, sigma_px: Float64, window_px: int) -> Bool:

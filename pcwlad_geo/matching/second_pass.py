@@ -15,7 +15,8 @@ from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import ChannelPair
 from pcwlad_geo.matching.refinement import SPARSE_STEP_PX, InitialEstimate
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints, to_index
-from pcwlad_geo.matching.windows import WINDOWS, Scales, choose_scales, window_sample
+from pcwlad_geo.matching.window import WINDOWS, MatchingWindow
+from pcwlad_geo.matching.windows import Scales, choose_scales, window_sample
 from pcwlad_geo.types import Bool, Float64
 
 
@@ -40,17 +41,19 @@ def rematch(
     target, covariance = points.target_xy_px.copy(), points.covariance_px2.copy()
     repeated, led = matched_again(guide, settings), guide.leads
     if window_px is not None:
-        repeated, settings = np.ones_like(led), replace(settings, window=window_px)
+        repeated, settings = np.ones_like(led), replace(settings, window=MatchingWindow(window_px))
     for group, follows in ((repeated & ~led, True), (repeated & led, False)):
         index = np.flatnonzero(group)
         begin = target[index] - points.reference_xy_px[index]
         structure = None if follows else guide.structure_xy_px[index]
-        if structure is not None and settings.window >= WINDOWS.sparse_from_px:
+        if structure is not None and settings.window.side_px >= WINDOWS.sparse_from_px:
             begin = structure  # nearer to what a large window sees, and its structure is needed there anyway
         start = InitialEstimate(begin, guide.linear[index], structure, is_match=structure is not None)
         corners = to_index(points[index])
         direction: Back = "forward only" if (guide.one_way if follows else guide.led_one_way) else "always"
-        refined, agree, _ = refine_both(pair, corners, start, settings, direction, step_of(settings.window))
+        refined, agree, _ = refine_both(
+            pair, corners, start, settings, direction, step_of(settings.window.side_px)
+        )
         good = refined.converged & agree
         target[index[good]] = points.reference_xy_px[index[good]] + refined.shift_xy_px[good]
         covariance[index[good]] = refined.covariance_px2[good]
@@ -64,7 +67,7 @@ def rematch_with(
 
     The `scales` are of windows of the settings.
     """
-    if scales.windows_px == (settings.window,):
+    if scales.windows_px == (settings.window.side_px,):
         return rematch(pair, points, guide, settings)
     tries = [_by_window(pair, points, guide, settings, window_px) for window_px in scales.windows_px]
     good = np.all([succeeded_in for _, succeeded_in in tries], axis=0)
@@ -74,7 +77,11 @@ def rematch_with(
     # of two windows, one inside the other, the errors share those of the larger one
     share, first, last = min(scales.weights[0] ** 2, 1.0), tries[0][0], tries[-1][0]
     covariance[good] = share * first.covariance_px2[good] + (1 - share) * last.covariance_px2[good]
-    smaller = [side_px for side_px in settings.windows if settings.window <= side_px < scales.windows_px[-1]]
+    smaller = [
+        side_px
+        for side_px in settings.window.all_px
+        if settings.window.side_px <= side_px < scales.windows_px[-1]
+    ]
     failed = np.flatnonzero(~good)
     for window_px in reversed(smaller):
         matched, succeeded = _by_window(pair, points[failed], guide.part(failed), settings, window_px)
@@ -91,7 +98,7 @@ def _by_window(
 
     The first window never fails: the points are where it put them.
     """
-    if window_px == settings.window:
+    if window_px == settings.window.side_px:
         return rematch(pair, points, guide, settings), np.ones(len(points), bool)
     matched = rematch(pair, points, guide, settings, window_px)
     return matched, ~_unmoved(matched, points)
@@ -128,11 +135,12 @@ def matched_again(guide: FieldGuide, settings: MatchSettings) -> Bool:
 def second_pass(pair: ChannelPair, points: TiePoints, settings: MatchSettings) -> TiePoints:
     """Guide, match again, check and calibrate the `points` of one `pair` with `settings`."""
     guide = guide_by_field(points, settings)
-    sample = window_sample(points.reference_xy_px, settings)
+    sample = window_sample(points.reference_xy_px, settings.window)
     measured = partial(displacement_by_windows, pair, points[sample], guide.part(sample), settings)
-    scales, errors = choose_scales(measured, settings) if len(sample) else (Scales.of(settings.window), None)
+    single = Scales.of(settings.window.side_px), None
+    scales, errors = choose_scales(measured, settings.window) if len(sample) else single
     matched = rematch_with(pair, points, guide, settings, scales)
-    settings = replace(settings, window=scales.window_px)
+    settings = replace(settings, window=MatchingWindow(scales.window_px))
     good = matched[consistent_points(matched, settings)]
     variance_px2 = None if errors is None else errors.variance_px2(scales)
     return calibrate(good, guide.surface, guide.shared_variance_px2, settings, variance_px2)

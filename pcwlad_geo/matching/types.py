@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
 
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.matching.methods import AUTO_FEATURES, Consensus, Keypoints, Method
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.text import Shown
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -38,15 +39,8 @@ class MethodTraits:
     """Context that the maps need around a window: beyond it they change by less than 4e-4."""
 
 
-FIRST_WINDOW_PX: Final = 81
-"""Side of the refinement window of the first pass, unless it is given."""
-OTHER_WINDOWS_PX: Final = (61, 129)
-"""Sides of those that the second pass may use instead."""
-LARGE_WINDOWS_PX: Final = (181, 257)
-"""Sides of those that it may use, too, in a scene of one tile."""
 BOUNDS: Final = {
     "template": (5, 4095),
-    "window": (5, 4095),
     "search_radius": (0, 4096),
     "features": (1, 10_000_000),
     "iterations": (1, 1000),
@@ -86,12 +80,8 @@ class MatchSettings:
     """Area over which `features` candidates are spread; None: the usable area of the image."""
     template: int = 101
     """Side of the coarse window, odd."""
-    window: int = FIRST_WINDOW_PX
-    """Side of the refinement window, odd."""
-    other_windows: tuple[int, ...] = ()
-    """Sides of the windows that some points are matched with too, which tells the error of each window."""
-    open_window: bool = False
-    """Whether the second pass uses the best one or two of all these windows; otherwise `window`."""
+    window: MatchingWindow = field(default_factory=MatchingWindow)
+    """The refinement window."""
     search_radius: int = 10
     """Largest displacement per axis that is searched."""
     ssim_min: float = 0.0
@@ -111,6 +101,8 @@ class MatchSettings:
             is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
             if not is_whole or not least <= value <= most:
                 raise SettingsError(f"{name} = {value!r}: give a whole number from {least} to {most}")
+        if not isinstance(self.window, MatchingWindow):
+            raise SettingsError(f"window = {self.window!r}: give MatchingWindow(...)")
         for name, kind in (("method", Method), ("keypoints", Keypoints), ("consensus", Consensus)):
             if getattr(self, name) not in get_args(kind):
                 words = ", ".join(get_args(kind))
@@ -122,11 +114,6 @@ class MatchSettings:
     def candidates(self) -> int:
         """Number of candidates where all are matched."""
         return AUTO_FEATURES if self.features is None else self.features
-
-    @property
-    def windows(self) -> tuple[int, ...]:
-        """Sides of all refinement windows, the smallest first."""
-        return tuple(sorted({self.window, *self.other_windows}))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

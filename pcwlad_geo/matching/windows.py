@@ -5,85 +5,52 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
 
 import numpy as np
 
 from pcwlad_geo.estimation.solving import inverse, least_squares
 from pcwlad_geo.matching.calibration import MEDIAN_CHI_SQUARE_2
-from pcwlad_geo.matching.types import MatchSettings
+from pcwlad_geo.matching.window import WINDOWS, MatchingWindow
 from pcwlad_geo.types import Float64, Index
 
 
-@dataclass(frozen=True, slots=True)
-class WindowParameters:
-    """How the windows of the second pass are chosen."""
+def sample_size(xy_px: Float64, window: MatchingWindow) -> int:
+    """Return how many of the points at (n, 2) `xy_px` tell which side of `window` is best.
 
-    sparse_from_px: int = 101
-    """Side from which every second pixel of rows and columns is taken: less time, the same error."""
-    tried_first: int = 3
-    """Number of windows that are always tried, the smallest."""
-    largest_px: int = 181
-    """Largest window that measures: with 257 px it takes twice as long, and gains 0.01 px at most."""
-    sample: int = 160
-    """Largest number of points that are matched with every window."""
-    sample_per_window: int = 9
-    """Largest number of them in a square as large as the first window: more see the same pixels once more."""
-    least_sample: int = 12
-    """Least number of points that give the errors of windows."""
-    least_to_choose: int = 60
-    """Least number of points for another window than that of the first pass."""
-    gain: float = 0.95
-    """Others must leave less than this share of its mean squared error, and so must two windows."""
-    noise_power: float = 1.1
-    """The noise falls with this power of the side, measured as 1 to 1.4: windows share noise."""
-    most_weight: float = 2.0
-    """Largest weight of one of two windows; beyond it their difference is mostly noise."""
-    growing_weight: float = 0.3
-    """A larger window is tried if the largest one so far has more weight than this."""
-
-
-WINDOWS: Final = WindowParameters()
-"""Those in use."""
-
-
-def sample_size(xy_px: Float64, settings: MatchSettings) -> int:
-    """Return how many of the points at (n, 2) `xy_px` tell which of the windows of `settings` is best.
-
-    It is 0 where only one window is open, or the points are too few.
+    It is 0 where there is one side only, or the points are too few.
     """
-    if len(xy_px) < WINDOWS.least_sample or len(settings.windows) == 1:
+    if len(xy_px) < WINDOWS.least_sample or len(window.all_px) == 1:
         return 0
-    squares = len(np.unique(np.floor(xy_px / settings.window), axis=0))
+    squares = len(np.unique(np.floor(xy_px / window.side_px), axis=0))
     return min(WINDOWS.sample, WINDOWS.sample_per_window * squares, len(xy_px))
 
 
-def window_sample(xy_px: Float64, settings: MatchSettings) -> Index:
+def window_sample(xy_px: Float64, window: MatchingWindow) -> Index:
     """Return the (m,) of the points at (n, 2) `xy_px` that `sample_size` counts, in even steps."""
-    count = sample_size(xy_px, settings)
+    count = sample_size(xy_px, window)
     return np.unique(np.linspace(0, len(xy_px) - 1, count).astype(np.intp))
 
 
 def choose_scales(
-    measured: Callable[[Sequence[int]], Float64], settings: MatchSettings
+    measured: Callable[[Sequence[int]], Float64], window: MatchingWindow
 ) -> tuple[Scales, WindowErrors | None]:
     """Choose the windows of the second pass, where they are open, and tell the errors of all that were tried.
 
     Larger windows are tried one after the other, as long as the last one seems good. `measured` gives the (k,
     n, 2) displacements of n points by k windows, as `displacement_by_windows` does.
     """
-    windows = settings.windows[: WINDOWS.tried_first]
+    windows = window.all_px[: WINDOWS.tried_first]
     displacement = measured(windows)
-    open_to = [window for window in settings.windows[WINDOWS.tried_first :] if window <= WINDOWS.largest_px]
+    larger = [side_px for side_px in window.all_px[WINDOWS.tried_first :] if side_px <= WINDOWS.largest_px]
     while True:
         errors = window_errors(displacement, windows)
-        if errors is None or not settings.open_window:
-            return Scales.of(settings.window), errors
-        scales = errors.best(windows, settings.window)
+        if errors is None or not window.is_open:
+            return Scales.of(window.side_px), errors
+        scales = errors.best(windows, window.side_px)
         grows = scales.windows_px[-1] == windows[-1] and scales.weights[-1] > WINDOWS.growing_weight
-        if not open_to or not grows:
+        if not larger or not grows:
             return scales, errors
-        windows = (*windows, open_to.pop(0))
+        windows = (*windows, larger.pop(0))
         displacement = np.concatenate([displacement, measured(windows[-1:])])
 
 

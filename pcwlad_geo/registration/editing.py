@@ -12,7 +12,7 @@ import numpy as np
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.execution.runner import one_library_thread
-from pcwlad_geo.matching import MatchSettings, match_arrays
+from pcwlad_geo.matching import MatchingWindow, MatchSettings, match_arrays
 from pcwlad_geo.matching.first_pass import margin_px
 from pcwlad_geo.raster import Window, file_px_per_px
 from pcwlad_geo.registration.fitting import footprint_px
@@ -69,7 +69,7 @@ class Editor:
         points = user_points(path, pair.views)
         self.table = points.table
         self._roles = np.full(len(points.table), "fit", "<U8") if points.roles is None else points.roles
-        self._side = points.origin.window_px or pair.settings.window or MatchSettings().window
+        self._side = points.origin.window_px or pair.settings.matching_window.side_px
         self.off = np.flatnonzero(self.table.status == "rejected").tolist()
         """Rows that are off at first: those that the file disables or their neighbours contradict."""
 
@@ -215,7 +215,7 @@ class Editor:
             method=settings.method,
             features=60,
             template=settings.template,
-            window=self._side,
+            window=MatchingWindow(self._side),
             search_radius=max(1, int(np.ceil(radius_px))),
         )
         reach = margin_px(matching) + self.parameters.around_px

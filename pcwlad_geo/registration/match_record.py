@@ -91,7 +91,7 @@ def record_matching(
     `without_structure` are parts of the reference view without a tile. The results are in the order of the
     jobs.
     """
-    side = max(settings.template, settings.window)  # of the first pass
+    side = max(settings.template, settings.window.side_px)  # of the first pass
     patches = overviews.reference, overviews.target
     textures = [
         texture_of(patch, scene.epsilon) for patch, scene in zip(patches, overviews.scenes, strict=True)

@@ -14,7 +14,6 @@ from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
 from pcwlad_geo.execution.runner import Runner, one_library_thread
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.clusters import contradicted_clusters
-from pcwlad_geo.matching.types import FIRST_WINDOW_PX
 from pcwlad_geo.raster import ViewPair, Window, file_px_per_px
 from pcwlad_geo.registration.decision import Decision, with_doubts
 from pcwlad_geo.registration.edge_sides import shared_errors
@@ -258,7 +257,7 @@ def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
         record=record,
         views=pair.views,
         every=points.every,
-        window_px=origin.window_px or pair.settings.window or FIRST_WINDOW_PX,
+        window_px=origin.window_px or pair.settings.matching_window.side_px,
         motions=points.motions,
         jitter_px=points.jitter_px,
         origin=origin,

@@ -19,7 +19,7 @@ from pcwlad_geo.matching.gaps import fill_smoothly, narrow_gaps
 from pcwlad_geo.matching.kernels.library import fast_even
 from pcwlad_geo.matching.keypoints import cell_side_px, contrast_weight
 from pcwlad_geo.matching.rounds import in_rounds
-from pcwlad_geo.matching.types import OTHER_WINDOWS_PX
+from pcwlad_geo.matching.window import WINDOWS
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import Patch, ViewPair, Window
 from pcwlad_geo.registration.inputs import tiles_along
@@ -288,8 +288,8 @@ def plan(
     area = matching.features_area_px2 or float(max(region.area_px2, 1))
     one_tile = tiles_along(max(region.shape), settings.tile_size) == 1
     matching = in_rounds(matching, area) if one_tile else replace(matching, features=matching.candidates)
-    if matching.open_window and not one_tile:  # tiles and small windows would have to reach farther
-        matching = replace(matching, other_windows=OTHER_WINDOWS_PX)
+    if matching.window.is_open and not one_tile:  # tiles and small windows would have to reach farther
+        matching = replace(matching, window=replace(matching.window, others_px=WINDOWS.others_px))
     base = TileJob(
         0, pair.reference, pair.target, region, region, target_offset_px, *overviews.scenes, matching
     )
@@ -298,7 +298,7 @@ def plan(
     densest = (settings.features or AUTO_FEATURES) / min(area, parameters.feature_area_px**2)
     if wanted == "dense":
         base = replace(base, settings=replace(matching, per_cell=1))
-        densest = (4 / matching.window) ** 2  # four along the side of a window
+        densest = (4 / matching.window.side_px) ** 2  # four along the side of a window
     if one_tile:
         return Plan(_cover(base, densest, settings.tile_size))
     if candidates >= densest * area:

@@ -12,7 +12,7 @@ import numpy as np
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching import MatchSettings, TiePoints, match_arrays
+from pcwlad_geo.matching import MatchingWindow, MatchSettings, TiePoints, match_arrays
 from pcwlad_geo.rigs.adjustment import Observations, RigState
 from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
 from pcwlad_geo.rigs.lens import Lens
@@ -136,11 +136,11 @@ def matched_pair(
     positions = _in_frames(task, points, factor_xy)
     # a lens of few px cannot have small windows, and would lose most of its points to the margin
     least_share = LEARNING.window_share[1]
-    small = task.share == least_share and settings.window <= least_share * min(rows, cols) + 1
+    small = task.share == least_share and settings.window.side_px <= least_share * min(rows, cols) + 1
     if task.lens != 0 and not small:
         return positions
     # another capture of the reference, or small windows
-    margin_px = LEARNING.margin_share * settings.window * factor
+    margin_px = LEARNING.margin_share * settings.window.side_px * factor
     first, second = task.models
     lens_margin_px = margin_px * max(second.shape) / max(first.shape)
     inside = first.inside(positions[0], margin_px) & second.inside(positions[1], lens_margin_px)
@@ -183,7 +183,7 @@ def match_settings(shape: tuple[int, ...], radius_px: int, share: float) -> Matc
     return MatchSettings(
         features=400,
         search_radius=radius_px,
-        window=side,
+        window=MatchingWindow(side),
         template=side + 20,
         ssim_min=0.0,
         consensus="off",
@@ -193,5 +193,5 @@ def match_settings(shape: tuple[int, ...], radius_px: int, share: float) -> Matc
 def points_per_window(observed: Observations, order: Sequence[Frame], share: float) -> float:
     """Return how many points share a window, on average."""
     views = len(np.unique(np.column_stack([observed.capture, observed.pose]), axis=0))
-    side = match_settings(order[0].shape, 5, share).window
+    side = match_settings(order[0].shape, 5, share).window.side_px
     return len(observed) / max(views, 1) * side**2 / math.prod(order[0].shape)

@@ -22,7 +22,7 @@ from rasterio.vrt import WarpedVRT
 import pcwlad_geo as pg
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.job import match_files
-from pcwlad_geo.matching import MatchSettings, match_arrays
+from pcwlad_geo.matching import MatchingWindow, MatchSettings, match_arrays
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import Matches, register_pair
 from pcwlad_geo.tiepoints.table import POINT_COLUMNS
@@ -87,7 +87,7 @@ def pixels(path: Path) -> NDArray[Any]:
 
 def shift_of(image: NDArray[Any], reference: NDArray[Any]) -> NDArray[np.float64]:
     """Return by how many px (col, row) an image is displaced, as the matching of arrays finds it."""
-    settings = MatchSettings(template=61, window=41, features=40, search_radius=6)
+    settings = MatchSettings(template=61, window=MatchingWindow(41), features=40, search_radius=6)
     found = match_arrays(
         reference, np.ma.getdata(image), target_valid=~np.ma.getmaskarray(image), settings=settings
     )

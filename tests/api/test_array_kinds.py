@@ -15,7 +15,7 @@ from scipy import ndimage
 
 import pcwlad_geo as pg
 from pcwlad_geo.in_memory import pixels_of
-from pcwlad_geo.matching import MatchSettings, match_arrays
+from pcwlad_geo.matching import MatchingWindow, MatchSettings, match_arrays
 from pcwlad_geo.raster.arrays import to_raster
 from pcwlad_geo.raster.raster import read_raster
 from pcwlad_geo.raster.scratch import Scratch
@@ -29,7 +29,7 @@ GONE[:, 65:] = True
 NODATA = 7.0
 MARKED = np.where(GONE, NODATA, REFERENCE.round()).astype("uint16")
 GARBAGE = np.where(GONE, RNG.random(REFERENCE.shape) * 60_000, MARKED).astype("uint16")
-SETTINGS = MatchSettings(features=40, window=41, template=61)
+SETTINGS = MatchSettings(features=40, window=MatchingWindow(41), template=61)
 
 
 def data_array(values: Any, encoding: dict[str, Any] | None = None, **attributes: Any) -> xarray.DataArray:

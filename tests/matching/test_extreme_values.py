@@ -17,10 +17,11 @@ from pcwlad_geo.matching.noise import measure_noise
 from pcwlad_geo.matching.prepare import Image, prepare
 from pcwlad_geo.matching.shift_search import search_shift
 from pcwlad_geo.matching.types import Channels, MatchSettings
+from pcwlad_geo.matching.window import MatchingWindow
 from tests.matching.landscape import Landscape, constant
 
 SHIFT_XY = (2.3, -1.6)
-SETTINGS = MatchSettings(features=40, template=61, window=61, search_radius=6)
+SETTINGS = MatchSettings(features=40, template=61, window=MatchingWindow(61), search_radius=6)
 EXTREMES = {
     "float32": (3.4028235e38, -3.4028235e38, 1e20, 1e30, -1e15, 1e10, np.inf, np.nan),
     "float64": (1.7e308, -1.7976931348623157e308, 1e100, 1e20, np.inf),

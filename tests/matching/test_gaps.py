@@ -13,11 +13,12 @@ from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.prepare import MAPS
 from pcwlad_geo.matching.shift_search import search_shift
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.window import MatchingWindow
 from tests.matching.landscape import Landscape, constant
 
 SIDE = 240
 SHIFT_XY = (3.4, -2.3)
-SETTINGS = MatchSettings(features=60, template=81, window=81, search_radius=6)
+SETTINGS = MatchSettings(features=60, template=81, window=MatchingWindow(81), search_radius=6)
 NOTHING = np.zeros((SIDE, SIDE), bool)
 PERIOD_PX = 33
 

@@ -10,7 +10,8 @@ from pcwlad_geo.matching.guidance import guide_by_field
 from pcwlad_geo.matching.lost_candidates import expect_lost
 from pcwlad_geo.matching.second_pass import matched_again
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
-from pcwlad_geo.matching.windows import WINDOWS, Scales, choose_scales, window_errors
+from pcwlad_geo.matching.window import WINDOWS, MatchingWindow
+from pcwlad_geo.matching.windows import Scales, choose_scales, window_errors
 
 SIDE = 1000.0
 SETTINGS = MatchSettings()
@@ -143,17 +144,17 @@ def test_two_windows_err_less_than_each_alone_and_as_much_as_they_say(
 
 
 def test_larger_windows_are_tried_while_they_seem_good() -> None:
-    settings = replace(SETTINGS, window=81, other_windows=(61, 129, 181, 257), open_window=True)
+    window = MatchingWindow.of(None)
 
     def tried(noise_px: float, curvature: float) -> tuple[list[tuple[int, ...]], Scales]:
         asked = []
-        moved = by_windows(noise_px, curvature, sides=settings.windows)
+        moved = by_windows(noise_px, curvature, sides=window.all_px)
 
         def seen(windows_px: Sequence[int]) -> NDArray:
             asked.append(tuple(windows_px))
-            return moved[[settings.windows.index(each) for each in windows_px]]
+            return moved[[window.all_px.index(each) for each in windows_px]]
 
-        return asked, choose_scales(seen, settings)[0]
+        return asked, choose_scales(seen, window)[0]
 
     asked, scales = tried(0.08, 0.0)
     # 257 px are for finding what was lost, not for measuring
@@ -163,7 +164,7 @@ def test_larger_windows_are_tried_while_they_seem_good() -> None:
     assert asked == [(61, 81, 129)]
     assert scales.windows_px == (81, 129)
     assert scales.weights[1] < 0
-    settings = replace(settings, open_window=False)
+    window = replace(window, is_open=False)
     assert tried(0.08, 0.0)[1] == Scales.of(81)
 
 
@@ -201,8 +202,8 @@ def test_sigma_of_a_rough_field_is_that_which_the_windows_tell() -> None:
     assert errors is not None
     told_px2 = errors.variance_px2(Scales.of(81))
     rough = points(noise(len(xy), 5.0), xy)
-    sigma_px = calibrate(rough, None, 0.0, replace(SETTINGS, window=81), told_px2).sigma_px
+    sigma_px = calibrate(rough, None, 0.0, replace(SETTINGS, window=MatchingWindow(81)), told_px2).sigma_px
     assert np.median(sigma_px) == pytest.approx(0.12, abs=0.01)  # twelve times the formal one, at most
     tight = replace(rough, covariance_px2=9 * rough.covariance_px2)
-    sigma_px = calibrate(tight, None, 0.0, replace(SETTINGS, window=81), told_px2).sigma_px
+    sigma_px = calibrate(tight, None, 0.0, replace(SETTINGS, window=MatchingWindow(81)), told_px2).sigma_px
     assert np.median(sigma_px) == pytest.approx(0.3, rel=0.2)

@@ -18,12 +18,13 @@ from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.prepare import ChannelPair, Image, prepare
 from pcwlad_geo.matching.types import MatchSettings, TiePoints, to_index
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.matching.windows import Scales
 from tests.matching.landscape import Landscape, constant
 
 SIDE = 230
 SHIFT_XY = (2.3, -3.6)
-SMALL = MatchSettings(features=90, template=61, window=61, search_radius=6)
+SMALL = MatchSettings(features=90, template=61, window=MatchingWindow(61), search_radius=6)
 
 
 @cache
@@ -213,7 +214,7 @@ def test_many_points_with_a_given_structure_are_matched_one_way(
     assert 0 < abs(ours - theirs) < 0.05 * theirs
 
 
-LARGER = replace(SMALL, other_windows=(121,))
+LARGER = replace(SMALL, window=MatchingWindow(61, (121,)))
 MARGIN_PX = 100
 
 
@@ -246,7 +247,7 @@ def test_lost_candidates_are_found_where_they_are_expected_and_nowhere_else() ->
 
 
 def test_the_first_pass_takes_all_pixels_also_where_the_second_chooses_the_window() -> None:
-    size = replace(SMALL, template=81, window=81)
+    size = replace(SMALL, template=81, window=MatchingWindow(81))
     given, chosen = (
         match_candidates(
             prepare(
@@ -256,7 +257,7 @@ def test_the_first_pass_takes_all_pixels_also_where_the_second_chooses_the_windo
             Core(60, 60, SIDE - 60, SIDE - 60, (0, 0)),
             each,
         )[0]
-        for each in (size, replace(size, open_window=True))
+        for each in (size, replace(size, window=MatchingWindow(81, is_open=True)))
     )
     assert len(given) > 10
     assert_same_points(given, chosen, atol=1e-9)
@@ -404,7 +405,7 @@ def test_spare_candidates_stand_in_for_those_that_fail() -> None:
         per_cell=4,
         features_area_px2=120.0**2,
         template=41,
-        window=25,
+        window=MatchingWindow(25),
         search_radius=6,
     )
     core = Core(0, 0, SIDE, SIDE, (0, 0))

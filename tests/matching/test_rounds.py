@@ -11,11 +11,12 @@ from pcwlad_geo.matching import AUTO_FEATURES
 from pcwlad_geo.matching.matcher import match_arrays
 from pcwlad_geo.matching.rounds import ROUNDS, are_hopeless, in_rounds, suffice
 from pcwlad_geo.matching.types import MatchSettings, TiePoints
+from pcwlad_geo.matching.window import MatchingWindow
 from tests.matching.landscape import Landscape, constant
 
 SIDE = 230
 SHIFT_XY = (2.3, -3.6)
-AUTO = MatchSettings(template=61, window=61, search_radius=6)
+AUTO = MatchSettings(template=61, window=MatchingWindow(61), search_radius=6)
 ALL = replace(AUTO, features=AUTO_FEATURES)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching import MatchSettings, TiePoints
+from pcwlad_geo.matching import MatchingWindow, MatchSettings, TiePoints
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import ViewPair, Window, describe, plan_views
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan
@@ -19,7 +19,7 @@ from tests.scenes import make_grid, write
 
 SIDE = 3600
 OFFSET = (-5, 3)
-MATCHING = MatchSettings(template=61, window=41, search_radius=8)
+MATCHING = MatchSettings(template=61, window=MatchingWindow(41), search_radius=8)
 
 
 def values(seed: int = 0) -> NDArray[np.uint8]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching import MatchSettings, Scales, guide_by_field
+from pcwlad_geo.matching import MatchingWindow, MatchSettings, Scales, guide_by_field
 from pcwlad_geo.matching.grey_values import Tones
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.noise import Noise
@@ -21,7 +21,9 @@ from pcwlad_geo.registration.tiles import Scene, TileJob, match_tile, rematch_ti
 from tests.scenes import make_grid, render, write
 
 SHIFT_PX = (2.4, -1.3)
-SETTINGS = MatchSettings(template=61, window=41, features=80, features_area_px2=180.0**2, search_radius=8)
+SETTINGS = MatchSettings(
+    template=61, window=MatchingWindow(41), features=80, features_area_px2=180.0**2, search_radius=8
+)
 
 
 @pytest.fixture(scope="module")

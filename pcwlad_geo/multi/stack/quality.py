@@ -12,7 +12,7 @@ import numpy as np
 
 from pcwlad_geo.correction.error_statistics import SIGMA_90
 from pcwlad_geo.correction.expected_error import Residuals, local_residuals
-from pcwlad_geo.matching.types import FIRST_WINDOW_PX
+from pcwlad_geo.matching import MatchingWindow
 from pcwlad_geo.multi.stack.pair import StackPair
 from pcwlad_geo.multi.stack.parameters import GRADING, GradeParameters
 from pcwlad_geo.registration import (
@@ -70,7 +70,7 @@ def residual_ce90(at_px: Float64, residual_px: Float64) -> float:
     """
     places = at_px[:: math.ceil(len(at_px) / 500)]
     residuals = Residuals(at_px, residual_px, np.ones(len(at_px), bool))
-    smooth = local_residuals(residuals, places, FIRST_WINDOW_PX)
+    smooth = local_residuals(residuals, places, MatchingWindow().side_px)
     noise = SIGMA_90 * NOISE_OF_MEDIAN * float(np.median(smooth.spread_px))
     return math.sqrt(max(0.0, float(np.percentile(np.hypot(*smooth.median_px.T), 90)) ** 2 - noise**2))
 

@@ -69,7 +69,7 @@ def prove(
     """
     setup, full = set_up(matches, effort, parameters), effort == "full"
     moves = moves_of(effort, setup.scales.window_px, parameters)
-    windows_px = setup.settings.windows if full else ()
+    windows_px = setup.settings.window.all_px if full else ()
     total = len(moves) + (MOST_TRIALS if full else 0)
     errors, ends, by_window = measure(setup, moves, windows_px, log, threads, total)
     shifts = errors.part(np.array([move.kind == "shift" for move in moves]))

@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pcwlad_geo.correction.proof_result import Move
-from pcwlad_geo.matching import FieldGuide, Image, TiePoints, guide_by_field, match_candidates, rematch_with
+from pcwlad_geo.matching import (
+    FieldGuide,
+    Image,
+    MatchingWindow,
+    TiePoints,
+    guide_by_field,
+    match_candidates,
+    rematch_with,
+)
 from pcwlad_geo.matching.first_pass import Core
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair, prepare
@@ -59,7 +67,9 @@ def match_again(
         of_site.append((channels, refined, local_guide, which[members]))
     if len(points):
         points = replace(points, target_xy_px=target_px)
-        consistent = consistent_points(points, replace(settings, window=setup.scales.window_px))
+        consistent = consistent_points(
+            points, replace(settings, window=MatchingWindow(setup.scales.window_px))
+        )
     of_rows = np.full((len(setup.rows), 2), np.nan)
     of_rows[which[consistent]] = target_px[consistent]
     return MatchedAgain(of_rows, tuple(of_site))

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from pcwlad_geo.matching import AUTO_FEATURES, Scales, TiePoints
+from pcwlad_geo.matching import AUTO_FEATURES, MatchingWindow, Scales, TiePoints
 from pcwlad_geo.matching.epipolar import EPIPOLAR, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.registration.decision import Decision, Evidence
@@ -82,7 +82,11 @@ def match_scene(start: StartingAlignment, context: SceneContext) -> SceneMatches
         context = context.with_settings(features=context.settings.features or AUTO_FEATURES)
         scene = _match_with_windows(start, context)
     settings, latest = context.settings, scene
-    while settings.window is None and latest.needs_smaller_windows and latest.window_px > by.least_window_px:
+    while (
+        settings.matching_window.is_open
+        and latest.needs_smaller_windows
+        and latest.window_px > by.least_window_px
+    ):
         window_px = max(by.least_window_px, int(by.few_places_share * latest.window_px) // 2 * 2 + 1)
         smaller = context.with_settings(window=window_px, template=min(settings.template, window_px))
         latest = _match_with_windows(start, smaller)
@@ -116,19 +120,19 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
     consistent = consistent_points(matches, matching) if len(matches) else np.zeros(0, bool)
     judged = partial(
         judge,
-        window_px=matching.window,
+        window_px=matching.window.side_px,
         radius_px=prealignment.search_radius_px,
         evidence=prealignment.net_evidence,
         parameters=by.judge,
     )
     decision, second = judged(matches, consistent, counts), None
     consistent, decision, epipolar = _by_geometry(
-        matches, consistent, decision, start, matching.window, context
+        matches, consistent, decision, start, matching.window.side_px, context
     )
     if decision.accepted:
         with log.stage("refining"):
             second = run_second_pass(first, matches, consistent, matching, not planned.sites, context)
-            fine = replace(matching, window=second.scales.window_px)
+            fine = replace(matching, window=MatchingWindow(second.scales.window_px))
             matches, consistent, checked = check_second_pass(second, matches, fine, epipolar)
         first = first.without(checked.lost_of[checked.lost_of >= 0])
         counts = {**sum_counts(first.results), "second_try": int(checked.recovered.sum())}
@@ -145,7 +149,7 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         decision=decision,
         prealignment=prealignment,
         record=record,
-        window_px=second.scales.window_px if second else matching.window,
+        window_px=second.scales.window_px if second else matching.window.side_px,
         epipolar=epipolar,
         jitter_px=second.jitter_px if second else 0.0,
         job=first.jobs[0] if first.jobs else None,
@@ -154,7 +158,7 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         first_only=any(result.first_only for result in first.results),
     )
     other_motion = second.other_motion if second else None
-    return scene if epipolar else _with_motions(scene, other_motion, start, matching.window, by)
+    return scene if epipolar else _with_motions(scene, other_motion, start, matching.window.side_px, by)
 
 
 def _with_motions(

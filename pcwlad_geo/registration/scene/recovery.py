@@ -45,7 +45,9 @@ def retry_candidates(
     places = np.concatenate([candidates.reference_xy_px, matches.reference_xy_px[off]])
     expected = expect_lost(places, matches[consistent], guide, matching, predictor)
     predicted = expected.guide.structure_xy_px[len(candidates) :]
-    moving = confirmed(matches.reference_xy_px, matches.displacement_px, off, predicted, matching.window)
+    moving = confirmed(
+        matches.reference_xy_px, matches.displacement_px, off, predicted, matching.window.side_px
+    )
     selection = np.concatenate([np.ones(len(candidates), bool), ~moving])
     return Retry(
         expected.part(np.flatnonzero(selection)),

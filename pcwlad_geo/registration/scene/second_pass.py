@@ -78,7 +78,7 @@ def run_second_pass(
     scales = choice.scales
     retry = retry_candidates(first, matches, consistent, guide, matching, predictor) if with_retry else None
     # points of which nothing is new to say need no visit
-    rematched = matched_again(guide, matching) | (scales != Scales.of(matching.window))
+    rematched = matched_again(guide, matching) | (scales != Scales.of(matching.window.side_px))
     tiles_of_all = [tile_of[rematched]] if retry is None else [tile_of[rematched], retry.tile_of]
     tiles, nothing = np.unique(np.concatenate(tiles_of_all)), np.zeros(0, np.intp)
     parts = [np.flatnonzero(rematched & (tile_of == tile)) for tile in tiles]

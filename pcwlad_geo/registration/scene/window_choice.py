@@ -11,7 +11,8 @@ import numpy as np
 from pcwlad_geo.events import only_warnings
 from pcwlad_geo.matching import FieldGuide, Scales, TiePoints
 from pcwlad_geo.matching.jitter import jitter_px
-from pcwlad_geo.matching.windows import WINDOWS, WindowErrors, choose_scales, sample_size
+from pcwlad_geo.matching.window import WINDOWS
+from pcwlad_geo.matching.windows import WindowErrors, choose_scales, sample_size
 from pcwlad_geo.registration.motions import share_displaced
 from pcwlad_geo.registration.scene.first_pass import FirstPass
 from pcwlad_geo.registration.scene.parameters import SceneContext
@@ -45,10 +46,10 @@ def choose_windows(
     The `points` are the consistent ones, in the (n,) tiles `tile_of`, with their guide. The (2,) `other_px`
     (col, row) is a displacement beside their own of which the share of the points is wanted.
     """
-    settings = first.jobs[0].settings
-    wanted = sample_size(points.reference_xy_px, settings)
+    window = first.jobs[0].settings.window
+    wanted = sample_size(points.reference_xy_px, window)
     if not wanted:
-        return WindowChoice(Scales.of(settings.window))
+        return WindowChoice(Scales.of(window.side_px))
     tiles, counts = np.unique(tile_of, return_counts=True)
     # multiples of the golden ratio are spread evenly, however many are taken
     spread = np.argsort((5**0.5 - 1) / 2 * np.arange(len(tiles)) % 1, kind="stable")
@@ -68,7 +69,7 @@ def choose_windows(
         return np.concatenate(context.runner.run(compare, calls, "refining", on_event), axis=1)
 
     samples = [index[::step] for index in members]
-    scales, errors = choose_scales(partial(measured, compare_windows, samples), settings)
+    scales, errors = choose_scales(partial(measured, compare_windows, samples), window)
     step = max(1, int(counts[selection].sum() / WINDOWS.sample))  # jitter shows in many points only
     larger = [index[:: max(1, step // 2)] for index in members]
     sample = np.concatenate(larger)

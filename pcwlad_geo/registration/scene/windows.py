@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.matching import AUTO_FEATURES, MatchSettings
-from pcwlad_geo.matching.types import FIRST_WINDOW_PX, LARGE_WINDOWS_PX, OTHER_WINDOWS_PX, TRAITS
+from pcwlad_geo.matching.types import TRAITS
+from pcwlad_geo.matching.window import WINDOWS, MatchingWindow
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import ViewPair
 from pcwlad_geo.registration.planning import common_region, farthest_px
@@ -29,25 +32,22 @@ def match_settings(
             f"the common area is {cols} x {rows} px of the matching grid: too small to match "
             f"(at least {by.least_window_px} px a side); use rasters that share more ground"
         )
-    template, window = settings.template, settings.window or FIRST_WINDOW_PX
+    template, window = settings.template, settings.matching_window
     most = max(by.least_window_px, int(narrow / by.windows_across) // 2 * 2 - 1)
-    if max(template, window) > most:
-        template, window = min(template, most), min(window, most)
+    if max(template, window.side_px) > most:
+        template, window = min(template, most), replace(window, side_px=min(window.side_px, most))
         context.log.warn(
             f"narrow overlap of {narrow} px: matching windows shrunk to {template} px (coarse), "
-            f"{window} px (fine)"
+            f"{window.side_px} px (fine)"
         )
     margin = round(0.4 * template)
-    others = _other_windows(settings, window, narrow, by)
     return MatchSettings(
         method=settings.method,
         features=settings.features if settings.points is None else settings.features or AUTO_FEATURES,
         keypoints=settings.keypoints,
         features_area_px2=float(max((rows - margin) * (cols - margin), 1)),
         template=template,
-        window=window,
-        other_windows=others,
-        open_window=others[: len(OTHER_WINDOWS_PX)] == OTHER_WINDOWS_PX,
+        window=_fitting(window, settings, narrow, by),
         search_radius=min(prealignment.search_radius_px, farthest_px(pair, offset)),
         ssim_min=settings.ssim_min,
         iterations=settings.iterations,
@@ -56,18 +56,19 @@ def match_settings(
     )
 
 
-def _other_windows(
-    settings: Settings, window_px: int, narrow_px: int, by: SceneParameters
-) -> tuple[int, ...]:
-    """Return what some points are matched with beside the first window.
+def _fitting(
+    window: MatchingWindow, settings: Settings, narrow_px: int, by: SceneParameters
+) -> MatchingWindow:
+    """Return the window with those sides besides its first that an overlap `narrow_px` wide takes.
 
-    If that is not given, it is what the second pass may choose from, unless the overlap, `narrow_px` wide, is
-    narrow for it. Otherwise smaller windows tell the error of the given one. None where points are
-    not guided.
+    An open one stays open, unless the overlap is narrow for it. Otherwise smaller sides tell the error of
+    the first. There are none where points are not guided.
     """
+    side_px = window.side_px
     if TRAITS[settings.method].structure != "local" or settings.consensus == "off":
-        return ()
-    if settings.window is None and narrow_px >= by.choice_windows_across * max(OTHER_WINDOWS_PX):
-        fitting = (window for window in LARGE_WINDOWS_PX if by.windows_across * window <= narrow_px)
-        return *OTHER_WINDOWS_PX, *fitting
-    return tuple(int(share * window_px) // 2 * 2 + 1 for share in by.smaller_windows)
+        return MatchingWindow(side_px)
+    if window.is_open and narrow_px >= by.choice_windows_across * max(WINDOWS.others_px):
+        fitting = (large for large in WINDOWS.large_px if by.windows_across * large <= narrow_px)
+        return replace(window, others_px=(*WINDOWS.others_px, *fitting))
+    smaller = (int(share * side_px) // 2 * 2 + 1 for share in by.smaller_windows)
+    return MatchingWindow(side_px, tuple(smaller))
