@@ -27,13 +27,14 @@ from benchmarks.pairs import landsat, read, rgbnir
 from benchmarks.tables import Cell, Check, Table, as_text, at_most
 from benchmarks.timing import cheapest
 from pcwlad_geo.execution.runner import one_opencv_thread
-from pcwlad_geo.matching import Image, MatchingWindow, MatchSettings, keypoints
+from pcwlad_geo.matching import Image, MatchSettings, keypoints
 from pcwlad_geo.matching.coarse import CoarseMatches, match_coarsely
 from pcwlad_geo.matching.first_pass import margin_px
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.noise import measure_noise
 from pcwlad_geo.matching.prepare import PreparedPair, prepare
 from pcwlad_geo.matching.refinement import InitialEstimate, refine
+from pcwlad_geo.matching.window import MatchingWindow
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 LIMITS_MS: Final = {81: 1.0, 129: 2.5}

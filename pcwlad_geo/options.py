@@ -13,7 +13,8 @@ from typing import Any, Final, Literal, TypedDict, TypeVar, cast, get_args, get_
 from pcwlad_geo.arguments import described, fits, shown
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.limits import LIMITS
-from pcwlad_geo.matching import Consensus, Keypoints, MatchingWindow, Method
+from pcwlad_geo.matching import Consensus, Keypoints, Method
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.raster import Trust
 
 Model = Literal[

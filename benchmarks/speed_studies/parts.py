@@ -23,7 +23,7 @@ from rasterio.windows import Window
 
 from benchmarks.speed_studies.scene_files import ScenePair
 from benchmarks.timing import Cost, cheapest
-from pcwlad_geo.matching import Image, MatchingWindow, MatchSettings, keypoints
+from pcwlad_geo.matching import Image, MatchSettings, keypoints
 from pcwlad_geo.matching.coarse import match_coarsely
 from pcwlad_geo.matching.first_pass import margin_px
 from pcwlad_geo.matching.kernels.library import fast_even
@@ -31,6 +31,7 @@ from pcwlad_geo.matching.kernels.phase_congruency import ORIENTATIONS, SCALES
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.prepare import PreparedPair, prepare
 from pcwlad_geo.matching.refinement import InitialEstimate, refine
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import describe, plan_views
 from pcwlad_geo.registration.planning import plan

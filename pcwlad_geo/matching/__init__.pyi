@@ -7,7 +7,6 @@ from .prepare import Image
 from .second_pass import rematch_with
 from .shift_search import search_shift
 from .types import MatchSettings, TiePoints
-from .window import MatchingWindow
 from .windows import Scales
 
 __all__ = [
@@ -18,7 +17,6 @@ __all__ = [
     "Image",
     "Keypoints",
     "MatchSettings",
-    "MatchingWindow",
     "Method",
     "Scales",
     "TiePoints",

@@ -12,8 +12,9 @@ import numpy as np
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.execution.runner import one_library_thread
-from pcwlad_geo.matching import MatchingWindow, MatchSettings, match_arrays
+from pcwlad_geo.matching import MatchSettings, match_arrays
 from pcwlad_geo.matching.first_pass import margin_px
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.raster import Window, file_px_per_px
 from pcwlad_geo.registration.fitting import footprint_px
 from pcwlad_geo.registration.point_file import user_points

@@ -12,7 +12,8 @@ import numpy as np
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching import MatchingWindow, MatchSettings, TiePoints, match_arrays
+from pcwlad_geo.matching import MatchSettings, TiePoints, match_arrays
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.rigs.adjustment import Observations, RigState
 from pcwlad_geo.rigs.captures import Capture, Frame, read_frame
 from pcwlad_geo.rigs.lens import Lens

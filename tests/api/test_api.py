@@ -22,7 +22,8 @@ from rasterio.vrt import WarpedVRT
 import pcwlad_geo as pg
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.job import match_files
-from pcwlad_geo.matching import MatchingWindow, MatchSettings, match_arrays
+from pcwlad_geo.matching import MatchSettings, match_arrays
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.options import Settings
 from pcwlad_geo.registration import Matches, register_pair
 from pcwlad_geo.tiepoints.table import POINT_COLUMNS

@@ -15,7 +15,8 @@ from scipy import ndimage
 
 import pcwlad_geo as pg
 from pcwlad_geo.in_memory import pixels_of
-from pcwlad_geo.matching import MatchingWindow, MatchSettings, match_arrays
+from pcwlad_geo.matching import MatchSettings, match_arrays
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.raster.arrays import to_raster
 from pcwlad_geo.raster.raster import read_raster
 from pcwlad_geo.raster.scratch import Scratch

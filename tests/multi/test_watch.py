@@ -23,11 +23,13 @@ from pcwlad_geo import InputError, SettingsError
 from pcwlad_geo.estimation.robust import reliability
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.multi.block.parameters import BLOCK
+from pcwlad_geo.multi.stack.finished import ReadStack
 from pcwlad_geo.multi.stack.parameters import ADJUSTMENT
 from pcwlad_geo.multi.watch.dated_images import position_covariance
 from pcwlad_geo.multi.watch.ground_motion import MOTION, _shown, region_velocity
 from pcwlad_geo.multi.watch.page import findings
 from pcwlad_geo.multi.watch.run import watch
+from pcwlad_geo.text import typed
 from tests.chromium import show
 from tests.cli.process import Result, run_cli
 from tests.multi.watched import FIRST, REGION, STEP_PX, make_images, make_stack, stepped
@@ -202,9 +204,10 @@ def test_errors_correlate_by_the_own_variances_of_pairs(block: object, least: fl
         {"reference": one, "target": other, "status": "used", "sigma_px": sigma, "redundancy": redundancy}
         for (one, other), (sigma, redundancy) in zip(ends, found, strict=True)
     ]
-    covariance = position_covariance(
-        {"block": block, "images": [{"name": name} for name in "abc"], "pairs": pairs}
-    )
+    blank: dict = {"shift_px": (0, 0), "sigma_px": (1, 1), "registered": None, "model": {}}
+    images = [{"name": name, "given": {"path": name, "name": name}, **blank} for name in "abc"]
+    numbers = {"datum": "mean", "reference": "a", "block": block, "images": images, "pairs": pairs}
+    covariance = position_covariance(typed(numbers, ReadStack))
     design = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0], [-1.0, 0.0, 1.0]])
     np.testing.assert_allclose(covariance, np.linalg.pinv(design.T / own @ design), rtol=1e-6, atol=1e-9)
 

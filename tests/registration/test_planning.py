@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcwlad_geo.matching import MatchingWindow, MatchSettings, TiePoints
+from pcwlad_geo.matching import MatchSettings, TiePoints
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import ViewPair, Window, describe, plan_views
 from pcwlad_geo.registration.planning import Plan, common_region, farthest_px, plan

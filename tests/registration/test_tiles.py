@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcwlad_geo.matching import MatchingWindow, MatchSettings, Scales, guide_by_field
+from pcwlad_geo.matching import MatchSettings, Scales, guide_by_field
 from pcwlad_geo.matching.grey_values import Tones
 from pcwlad_geo.matching.maps import scene_epsilon
 from pcwlad_geo.matching.noise import Noise
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import ViewPair, describe, plan_views
 from pcwlad_geo.registration.planning import plan as plan_scene

@@ -13,7 +13,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 USERS = ("pcwlad_geo", "benchmarks", "docs", "fuzz", "qgis_plugin", "tests")
 STILL_INNER = {
     "matching": """
-        ChannelPair Core GUIDANCE Lost OUTCOMES Prediction
+        ChannelPair Core GUIDANCE Lost MatchingWindow OUTCOMES Prediction
         Predictor PreparedPair Surface TRAITS WINDOWS WindowErrors calibrate can_try_again cell_side_px
         choose_scales confirmed consistent consistent_points contradicted_clusters contrast_weight
         displacement_by_stripes displacement_by_surroundings displacement_by_windows expect_lost fast_even

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pcwlad_geo.arguments import checked
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.runner import Runner
 from pcwlad_geo.multi.stack.adjustment import Adjustment, adjust, extend
-from pcwlad_geo.multi.stack.control_points import ControlPoint, control_edges, datum_of
+from pcwlad_geo.multi.stack.control_points import control_edges, datum_of
 from pcwlad_geo.multi.stack.edges import Edge
-from pcwlad_geo.multi.stack.finished import earlier_result, validated_inputs
+from pcwlad_geo.multi.stack.finished import ReadStack, check_takes_images, earlier_result, read_stack
 from pcwlad_geo.multi.stack.frame import StackFrame, frame_of
 from pcwlad_geo.multi.stack.inputs import readable_images
 from pcwlad_geo.multi.stack.job import job_of
 from pcwlad_geo.multi.stack.model_choice import choose_basis
 from pcwlad_geo.multi.stack.network import named
-from pcwlad_geo.multi.stack.numbers import STACK_FILE, numbers_of
+from pcwlad_geo.multi.stack.numbers import STACK_FILE
 from pcwlad_geo.multi.stack.outputs import check_places, write_registered, write_stack
 from pcwlad_geo.multi.stack.pair_choice import candidates, choose_pairs, overviews_of
 from pcwlad_geo.multi.stack.pairs import check_connected, edges_of, sigma_known
@@ -84,21 +84,20 @@ def _with_added(
     executor: Executor | Runner | None,
     options: Options,
 ) -> Stack:
-    before = numbers_of(out_dir)
-    if before.get("block") is not None:
-        raise InputError(f"{out_dir} is a stack of images with RPCs: stack all images again")
-    old, points = validated_inputs(before, out_dir)
-    fixed_options = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before["model"]}
+    before = read_stack(out_dir)
+    check_takes_images(before, out_dir)
+    old, points = before.inputs, before.control
+    fixed_options = {"ref_band": old[0].band, "tgt_band": old[0].band, "model": before.model}
     job = job_of(out_dir, False, on_event, executor, {**options, **fixed_options})
     with trusting(job.settings.trust):
         inputs, infos, unreadable = readable_images(images, job.settings, job.tell, old)
         overviews = overviews_of(inputs, infos, unreadable, job.tell)
-        frame = frame_of(inputs, infos, str(before["reference"]), "auto")
+        frame = frame_of(inputs, infos, before.reference, "auto")
         new = frame.names[len(old) :]
         if not new:
             raise InputError("no image is left to be added: " + "; ".join(unreadable.values()))
         check_places(job, out, frame, images)
-        measured = [earlier_result(frame, job.folder, entry) for entry in before["pairs"]]
+        measured = [earlier_result(frame, job.folder, entry) for entry in before.pairs]
         plan = [
             (frame.names.index(pair.reference), frame.names.index(pair.target))
             for pair in (measurement.pair for measurement in measured)
@@ -107,17 +106,13 @@ def _with_added(
         measured += job.measured(frame, more_pairs)
         edges = edges_of(measured)
         check_connected(frame, edges, frame.reference, job.folder, split=False)
-        added = (*map(tuple, before["added"]), tuple(new))
-        notes = [*before["warnings"], *job.warnings]
+        added = (*before.added, tuple(new))
+        notes = [*before.warnings, *job.warnings]
         with named(frame.names):
-            adjustment = _extended_in_order(
-                frame, edges, points, before, [len(run_names) for run_names in added]
-            )
+            adjustment = _extended_in_order(frame, edges, before, [len(run_names) for run_names in added])
             result = stack_of(frame, measured, adjustment, job.folder, job.settings, notes, unreadable)
         result = replace(result, control=points, added=added)
-        refused = [
-            run_names["name"] for run_names in before["images"] if run_names.get("registered", "") is None
-        ]
+        refused = [image.name for image in before.images if image.registered is None]
         return write_stack(
             job, out, result, frame, partial(write_registered, job, frame, {*new, *refused}), keep=True
         )
@@ -126,20 +121,19 @@ def _with_added(
 def _extended_in_order(
     frame: StackFrame,
     edges: Sequence[Edge],
-    points: Sequence[ControlPoint],
-    before: Mapping[str, Any],
+    before: ReadStack,
     added: Sequence[int],
 ) -> Adjustment:
     """Adjust the first images as they were, then place those added later, in the order of their runs.
 
-    `before` is the content of stack.json before the last ones.
+    `before` is the stack before the last ones.
     """
-    count = len(frame.names) - sum(added)
+    count, points = len(frame.names) - sum(added), before.control
     control = control_edges(points, frame, count)
-    datum_image = datum_of(frame, str(before["datum"]), control, count)
+    datum_image = datum_of(frame, before.datum, control, count)
     placed_edges = [edge for edge in edges if max(edge.first, edge.second) < count]
     first, nodes = [*placed_edges, *control], count + bool(control)
-    basis = choose_basis(first, nodes, str(before["model"]), datum=datum_image, split=True)
+    basis = choose_basis(first, nodes, before.model, datum=datum_image, split=True)
     prior = None if control else sigma_known(frame, datum_image, nodes)
     adjustment = adjust(first, nodes, basis=basis, datum=datum_image, split=True, sigma_known=prior)
     for number in added:

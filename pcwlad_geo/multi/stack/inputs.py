@@ -51,18 +51,6 @@ class StackInput:
     item: str | None = None
     """The STAC item that names it: its own address, or the file it was read from."""
 
-    @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> StackInput:
-        """Return an image as stack.json names it; raises `TypeError` if a value is of a wrong type."""
-        image = StackInput(**values)
-        texts = (image.path, image.name, image.mask or "", image.date or "")
-        more = (image.series or "", image.item or "")
-        numbers = (image.sun_elevation or 0.0, image.cloud or 0.0)
-        sound = all(isinstance(value, str) for value in (*texts, *more)) and isinstance(image.band, int | str)
-        if not (sound and all(isinstance(value, int | float) for value in numbers)):
-            raise TypeError("an image is described by texts, a band and two numbers")
-        return image
-
     @property
     def day(self) -> datetime.date | None:
         """The day of acquisition."""

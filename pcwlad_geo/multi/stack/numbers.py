@@ -6,9 +6,8 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from pcwlad_geo.errors import InputError
 from pcwlad_geo.multi.stack.closure import Closure
 from pcwlad_geo.multi.stack.control_points import ControlPoint
 from pcwlad_geo.multi.stack.pair import StackPair
@@ -17,7 +16,7 @@ from pcwlad_geo.multi.stack.result import BlockNumbers, Chosen, PlacedImage, Rpc
 from pcwlad_geo.options import Settings
 from pcwlad_geo.report.json_content import filled, versions
 from pcwlad_geo.requirements import RequirementResult
-from pcwlad_geo.text import csv_of, mismatch, read_json
+from pcwlad_geo.text import csv_of
 
 SCHEMA_VERSION: Final = 1
 """Version of the format of stack.json."""
@@ -141,24 +140,3 @@ def _table(result: Stack) -> str:
         row += [image.group, None if image.refused else image.registered.name, image.quality.grade]
         rows.append(dict(zip(STACK_COLUMNS, row, strict=True)))
     return csv_of(rows)
-
-
-def numbers_of(folder: Path) -> dict[str, Any]:
-    """Return the content of stack.json; raises `InputError` if the folder holds no stack."""
-    place = folder / STACK_FILE
-    try:
-        numbers = read_json(place)
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{folder} holds no finished stack: {STACK_FILE} cannot be read ({error})"
-        ) from error
-    if not isinstance(numbers, dict) or not {"schema_version", "shared", "images", "pairs"} <= numbers.keys():
-        raise InputError(f"{folder} holds no finished stack ({STACK_FILE}): give the output folder of one")
-    if numbers["schema_version"] != SCHEMA_VERSION:
-        raise InputError(
-            f"{place} has schema version {numbers['schema_version']}, this version reads {SCHEMA_VERSION}: "
-            "stack the images again"
-        )
-    if (reason := mismatch(numbers, StackNumbers)) is not None:
-        raise InputError(f"{place} is damaged ({reason}): stack the images again")
-    return numbers

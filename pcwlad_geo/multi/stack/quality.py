@@ -12,7 +12,7 @@ import numpy as np
 
 from pcwlad_geo.correction.error_statistics import SIGMA_90
 from pcwlad_geo.correction.expected_error import Residuals, local_residuals
-from pcwlad_geo.matching import MatchingWindow
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.multi.stack.pair import StackPair
 from pcwlad_geo.multi.stack.parameters import GRADING, GradeParameters
 from pcwlad_geo.registration import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Progress, only_warnings
 from pcwlad_geo.multi.stack.catalogue import LINEAGE, stac_texts
-from pcwlad_geo.multi.stack.finished import RasterInfoOrError, frame_again
+from pcwlad_geo.multi.stack.finished import RasterInfoOrError, ReadImage, ReadStack, frame_again
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.numbers import STACK_FILE, STACK_PAGE
 from pcwlad_geo.multi.stack.outputs import VRT, warp_onto
@@ -39,7 +39,7 @@ CORRECTED: Final = (
 
 def write_corrected(
     out: OutputFolder,
-    numbers: Mapping[str, Any],
+    finished: ReadStack,
     stack: Path,
     infos: Sequence[RasterInfoOrError],
     series: Sequence[ImageSeries],
@@ -50,27 +50,27 @@ def write_corrected(
 
     Raises `InputError` where the images have RPCs or no CRS, or one cannot be read.
     """
-    frame = frame_again(numbers, infos)
+    frame = frame_again(finished, infos)
     if not frame.georeferenced:
         raise InputError("the images have no CRS")
-    watched = {image.name: (group.name, image) for group in series for image in group.images}
+    watched = {entry.name: (group.name, entry) for group in series for entry in group.images}
     items, missing, on_grid = [], [], 0
-    for number, entry in enumerate(numbers["images"]):
-        if entry["registered"] is None:
+    for number, image in enumerate(finished.images):
+        if image.registered is None:
             continue
-        on_grid += (stack / entry["registered"]).is_file()
-        if apply and not (stack / entry["registered"]).is_file():
+        on_grid += (stack / image.registered).is_file()
+        if apply and not (stack / image.registered).is_file():
             missing.append(number)
             place = out.path(APPLIED.format(frame.names[number]))
             on_event(Progress("images", number, len(frame.names)))
             # on the grid of the corrected images of the stack; where there are none, of its frame
-            like = stack / (numbers["images"][frame.reference]["registered"] or "")
+            like = stack / (finished.images[frame.reference].registered or "")
             settings = Settings(like=like) if like.is_file() else Settings()
             tell = partial(only_warnings, on_event)
-            accuracy = _accuracy(frame, number, entry)
+            accuracy = _accuracy(frame, number, image)
             tags = accuracy.tags() if accuracy else {}
-            warp_onto(frame, number, from_dict(entry["model"]), place, settings, tell, tags)
-        items.append(_corrected_item(out, frame, number, entry, stack, watched.get(frame.names[number])))
+            warp_onto(frame, number, from_dict(image.model), place, settings, tell, tags)
+        items.append(_corrected_item(out, frame, number, image, stack, watched.get(frame.names[number])))
     for name, text in stac_texts(items, "watch", CORRECTED).items() if items else ():
         out.path(name).write_text(text, encoding="utf-8", newline="")
     return CorrectedImages(len(items), on_grid, tuple(frame.names[number] for number in missing))
@@ -80,18 +80,23 @@ def _corrected_item(
     out: OutputFolder,
     frame: StackFrame,
     number: int,
-    entry: Mapping[str, Any],
+    image: ReadImage,
     stack: Path,
     watched: tuple[str, WatchedImage] | None,
 ) -> dict[str, Any]:
     """Return the item of an image; `watched` are its series and what that says of it."""
     source, info, name = frame.given(number), frame.infos[number], frame.names[number]
-    grid, error_px = _corrected_grid(info.grid, from_dict(entry["model"]))
-    figures = {key: entry.get(key) for key in ("shift_px", "sigma_px")}
-    figures |= {"quality": (entry.get("quality") or {}).get("grade"), "transform_error_px": error_px}
+    grid, error_px = _corrected_grid(info.grid, from_dict(image.model))
+    grade = image.quality and image.quality.grade
+    figures: dict[str, object] = {"shift_px": image.shift_px, "sigma_px": image.sigma_px, "quality": grade}
+    figures["transform_error_px"] = error_px
     if watched is not None:
-        series, image = watched
-        figures |= {"series": series, "outlier": image.outlier, "expected_px": image.expected_px}
+        series, seen_image = watched
+        figures |= {
+            "series": series,
+            "outlier": seen_image.outlier,
+            "expected_px": seen_image.expected_px,
+        }
 
     def referred_to(file: str | Path) -> str:
         return referred(os.fspath(file), out.final_path(COLLECTION))[0].removeprefix("/vsicurl/")
@@ -101,8 +106,9 @@ def _corrected_item(
     if (stack / VRT.format(name)).is_file():
         assets["corrected"] = Asset(referred_to(stack / VRT.format(name)), "VRT", grid)
     applied = out.stage / APPLIED.format(name)
-    if applied.is_file() or (stack / entry["registered"]).is_file():
-        file = applied if applied.is_file() else stack / entry["registered"]
+    on_grid = stack / (image.registered or "")
+    if applied.is_file() or on_grid.is_file():
+        file = applied if applied.is_file() else on_grid
         href = f"./{applied.name}" if applied.is_file() else referred_to(file)
         assets["registered"] = Asset(href, "COG", describe(file).grid, outlined=False, file=file)
     links = [{"rel": "describedby", "type": "text/html", "href": referred_to(stack / STACK_PAGE)}]
@@ -112,7 +118,7 @@ def _corrected_item(
             {"rel": "derived_from", "type": "application/geo+json", "href": referred_to(source.item)}
         )
     properties = {f"pcwlad_geo:{key}": value for key, value in figures.items()}
-    accuracy = _accuracy(frame, number, entry)
+    accuracy = _accuracy(frame, number, image)
     properties |= {} if accuracy is None else accuracy.fields()
     how: dict[str, Any] = {
         "collection": "watch",
@@ -123,8 +129,8 @@ def _corrected_item(
     return stac_item(name, source.date, assets, **how)
 
 
-def _accuracy(frame: StackFrame, number: int, entry: Mapping[str, Any]) -> GeometricAccuracy | None:
-    return GeometricAccuracy.of_position(entry["sigma_px"], frame.infos[number].grid, frame.grid.crs)
+def _accuracy(frame: StackFrame, number: int, image: ReadImage) -> GeometricAccuracy | None:
+    return GeometricAccuracy.of_position(image.sigma_px, frame.infos[number].grid, frame.grid.crs)
 
 
 def _corrected_grid(grid: Grid, correction: Correction) -> tuple[Grid, float]:

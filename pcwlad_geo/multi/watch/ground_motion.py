@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import rasterio
@@ -19,7 +19,7 @@ from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.velocities import VELOCITY, Motions, displacements, velocities
 from pcwlad_geo.events import EventCallback, Progress
-from pcwlad_geo.multi.stack.finished import RasterInfoOrError, frame_again
+from pcwlad_geo.multi.stack.finished import RasterInfoOrError, ReadStack, frame_again
 from pcwlad_geo.multi.stack.frame import StackFrame
 from pcwlad_geo.multi.stack.pairs import PAIRS
 from pcwlad_geo.multi.watch.dated_images import DatedImage
@@ -121,7 +121,7 @@ class MotionRaster:
 
 
 def moving_ground(
-    numbers: Mapping[str, Any],
+    stack: ReadStack,
     folder: Path,
     dated: Sequence[DatedImage],
     infos: Sequence[RasterInfoOrError],
@@ -137,19 +137,19 @@ def moving_ground(
         raise InputError(
             f"{len(dated)} dates in {span:.2f} years are too few: {VELOCITY.min_images} are needed"
         )
-    frame = frame_again(numbers, infos)
-    corrections = [from_dict(entry["model"]) for entry in numbers["images"]]
+    frame = frame_again(stack, infos)
+    corrections = [from_dict(image.model) for image in stack.images]
     years = {image.source.name: (image.number, image.year) for image in dated}
     rows, cols = frame.grid.shape
     cell_px = max(parameters.min_cell_px, max(rows, cols) / parameters.cells)
     shape = int(np.ceil(rows / cell_px)), int(np.ceil(cols / cell_px))
     parts = []
-    pairs = [pair for pair in numbers["pairs"] if pair["status"] == "used"]
+    pairs = [pair for pair in stack.pairs if pair.status == "used"]
     for number, pair in enumerate(pairs):
         on_event(Progress("reading", number, len(pairs)))
-        ends = years.get(pair["reference"]), years.get(pair["target"])
+        ends = years.get(pair.reference), years.get(pair.target)
         if ends[0] is not None and ends[1] is not None and ends[0][1] != ends[1][1]:
-            place = folder / PAIRS / f"{pair['reference']}__{pair['target']}" / "tiepoints.csv"
+            place = folder / PAIRS / f"{pair.reference}__{pair.target}" / "tiepoints.csv"
             parts.append(_motions_of(place, frame, corrections, (ends[0], ends[1]), cell_px, shape))
     on_event(Progress("reading", len(pairs), len(pairs)))
     if not parts:

@@ -18,10 +18,10 @@ from pathlib import Path
 from pcwlad_geo.arguments import checked
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Warned, ignore
-from pcwlad_geo.multi.stack.finished import described_again
-from pcwlad_geo.multi.stack.numbers import STACK_FILE, StackRequirement, numbers_of
+from pcwlad_geo.multi.stack.finished import described_again, read_stack
+from pcwlad_geo.multi.stack.numbers import STACK_FILE, StackRequirement
 from pcwlad_geo.multi.watch.collection import write_corrected
-from pcwlad_geo.multi.watch.dated_images import checked_numbers, dated_images, position_covariance
+from pcwlad_geo.multi.watch.dated_images import dated_images, position_covariance
 from pcwlad_geo.multi.watch.ground_motion import moving_ground
 from pcwlad_geo.multi.watch.numbers import WatchNumbers
 from pcwlad_geo.multi.watch.page import WATCH_FILES, write_results
@@ -82,25 +82,25 @@ def watch(
     if place.resolve() == folder.resolve():
         raise InputError(f"{place} is the folder of the stack itself: give another output folder")
     source = folder / STACK_FILE
-    numbers = checked_numbers(numbers_of(folder), source)
+    finished = read_stack(folder)
     warnings: list[str] = []
 
     def warn(message: str) -> None:
         warnings.append(message)
         on_event(Warned(message))
 
-    dated, undated, refused = dated_images(numbers, source)
-    covariance = position_covariance(numbers)
+    dated, undated, refused = dated_images(finished, source)
+    covariance = position_covariance(finished)
     series = tuple(series_of(name, images, covariance) for name, images in images_by_series(dated).items())
     offsets = offsets_of(series)
     out_folder = OutputFolder(place, overwrite=overwrite, results=WATCH_FILES["numbers"], inputs=[source])
     with out_folder as out, trusting(Trust(remote=allow_remote, vrt=trust_vrt)):
-        infos = described_again(numbers)
+        infos = described_again(finished)
         motion, raster, corrected = None, None, None
         with _warning_of(warn, "the motion of the ground is not known"):
-            motion, raster = moving_ground(numbers, folder, dated, infos, on_event)
+            motion, raster = moving_ground(finished, folder, dated, infos, on_event)
         with nullcontext() if apply else _warning_of(warn, "there is no collection of the corrected images"):
-            corrected = write_corrected(out, numbers, folder, infos, series, apply, on_event)
+            corrected = write_corrected(out, finished, folder, infos, series, apply, on_event)
         results = judge_watch(series, offsets, motion, requirements)
         for names_left, why in ((undated, "have no date"), (refused, "were refused by the stack")):
             if names_left:
@@ -109,7 +109,7 @@ def watch(
         watched = WatchNumbers(
             schema_version=1,
             stack=str(folder),
-            datum=str(numbers["datum"]),
+            datum=finished.datum,
             series=series,
             offsets=offsets,
             motion=motion,

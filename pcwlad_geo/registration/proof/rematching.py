@@ -10,7 +10,6 @@ from pcwlad_geo.correction.proof_result import Move
 from pcwlad_geo.matching import (
     FieldGuide,
     Image,
-    MatchingWindow,
     TiePoints,
     guide_by_field,
     match_candidates,
@@ -20,6 +19,7 @@ from pcwlad_geo.matching.first_pass import Core
 from pcwlad_geo.matching.outliers import consistent_points
 from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair, prepare
 from pcwlad_geo.matching.types import TRAITS, to_index
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.registration.proof.sites import ProofSetup, Site
 from pcwlad_geo.registration.tiles import TileJob
 from pcwlad_geo.types import Float64, Index

@@ -8,9 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from pcwlad_geo.matching import AUTO_FEATURES, MatchingWindow, Scales, TiePoints
+from pcwlad_geo.matching import AUTO_FEATURES, Scales, TiePoints
 from pcwlad_geo.matching.epipolar import EPIPOLAR, epipolar_evidence, on_their_lines, parallax_evidence
 from pcwlad_geo.matching.outliers import consistent_points
+from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.registration.decision import Decision, Evidence
 from pcwlad_geo.registration.judge import agree_closely, judge
 from pcwlad_geo.registration.match_record import MatchRecord, record_matching
