@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from pcwlad_geo.estimation.robust import irls
 from pcwlad_geo.estimation.solving import solve
+from pcwlad_geo.estimation.surfaces import surface_terms
 from pcwlad_geo.types import Float64
 
 
@@ -37,9 +38,7 @@ def local_surface(xy_px: Float64, values_px: Float64, parameters: SurfaceParamet
     _, index = cKDTree(xy_px).query(xy_px, k=np.arange(1, min(parameters.neighbours, n) + 1))
     offset = xy_px[index] - xy_px[:, None]
     offset /= np.maximum(np.abs(offset).max(axis=(1, 2)), 1e-9)[:, None, None]
-    x, y = np.moveaxis(offset, 2, 0)
-    terms = [np.ones_like(x), x, y]
-    design = np.stack(terms if n < parameters.neighbours else [*terms, x * x, x * y, y * y], axis=2)
+    design = surface_terms(offset, 1 if n < parameters.neighbours else 2)
     around = values_px[index]
 
     def solve_all(divisor: Float64) -> tuple[Float64, Float64]:

@@ -11,6 +11,7 @@ from scipy.spatial import Delaunay, QhullError
 
 from pcwlad_geo.estimation.robust import axis_sigma
 from pcwlad_geo.estimation.solving import least_squares
+from pcwlad_geo.estimation.surfaces import surface_terms
 from pcwlad_geo.matching.outliers import OUTLIERS
 from pcwlad_geo.types import Bool, Float64, Index
 
@@ -148,9 +149,7 @@ def _neighbour_pairs(xy: Float64, reach_px: float) -> Index:
 def _trend(xy: Float64, displacement: Float64, mask: Bool, order: int) -> Float64:
     """Return (n, 2) a plane or a quadratic surface, of least absolute deviations from the matches used."""
     place = (xy - xy[mask].mean(axis=0)) / max(float(np.ptp(xy[mask], axis=0).max()), 1e-9)
-    x, y = place.T
-    terms = [np.ones_like(x), x, y] + ([x * x, x * y, y * y] if order == 2 else [])
-    basis, weight = np.column_stack(terms), mask.astype(np.float64)
+    basis, weight = surface_terms(place, order), mask.astype(np.float64)
     for _ in range(30):
         weighted = basis.T * weight
         fitted = basis @ least_squares(weighted @ basis, weighted @ displacement)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.estimation.solving import least_squares
+from pcwlad_geo.estimation.surfaces import surface_terms
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
 
 
@@ -61,8 +62,7 @@ def suffice(agreeing: TiePoints, candidates: int) -> bool:
     if len(agreeing) < max(ROUNDS.least_agreeing, ROUNDS.agreeing_share * candidates):
         return False
     place = agreeing.reference_xy_px - agreeing.reference_xy_px.mean(axis=0)
-    col, row = (place / max(float(np.abs(place).max()), 1.0)).T
-    design = np.column_stack([np.ones_like(col), col, row, col**2, col * row, row**2])
+    design = surface_terms(place / max(float(np.abs(place).max()), 1.0))
     values_px = agreeing.displacement_px
     residual_px = values_px - design @ least_squares(design, values_px)
     return float(np.percentile(np.hypot(*residual_px.T), 68)) <= ROUNDS.bent_px

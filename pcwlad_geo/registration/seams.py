@@ -12,6 +12,7 @@ import numpy as np
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.estimation.solving import least_squares
+from pcwlad_geo.estimation.surfaces import surface_terms
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
@@ -52,7 +53,7 @@ class Seam:
     def displacement_px(self, at_px: Float64) -> Float64:
         """Return the (n, 2) displacements at `at_px`, (n, 2) predicted target px."""
         beyond = at_px @ self.normal > self.position_px
-        return np.asarray(_affine(at_px) @ self.map_px + beyond[:, None] * self.step_px)
+        return np.asarray(surface_terms(at_px, 1) @ self.map_px + beyond[:, None] * self.step_px)
 
     def off_px(self, correction: Correction, at_px: Float64) -> float:
         """Return within how many px 90 % of `at_px`, (n, 2) places, lie in a correction if this is a step."""
@@ -95,7 +96,7 @@ def seam_of(
 
 def _best_line(at_px: Float64, moved_px: Float64, parameters: SeamParameters) -> tuple[Float64, float]:
     """Return the (2,) normal and the position of the line beside which a step explains most."""
-    basis, _ = np.linalg.qr(_affine(at_px))
+    basis, _ = np.linalg.qr(surface_terms(at_px, 1))
     left_px = moved_px - basis @ (basis.T @ moved_px)
     angles = np.pi * np.arange(parameters.orientations) / parameters.orientations
     normals = np.stack([np.cos(angles), np.sin(angles)])
@@ -119,9 +120,9 @@ def _tested(
     parameters: SeamParameters,
 ) -> Seam | None:
     """Return the seam if its step explains more than what is smooth does, else None."""
-    plane = _affine(at_px)
-    x, y = ((at_px - at_px.mean(axis=0)) / np.ptp(at_px, axis=0)).T
-    smooth = np.column_stack([plane, x * x, x * y, y * y])
+    plane = surface_terms(at_px, 1)
+    second = surface_terms((at_px - at_px.mean(axis=0)) / np.ptp(at_px, axis=0))[:, 3:]
+    smooth = np.column_stack([plane, second])
     designs = (plane, np.column_stack([plane, beyond]), smooth)
     fits = [least_squares(design, moved_px) for design in designs]
     affine, stepped, quadratic = (
@@ -133,7 +134,3 @@ def _tested(
     if stepped > parameters.beside_smooth * quadratic:
         return None
     return Seam(normal, position_px, np.asarray(fits[1][:3]), step_px)
-
-
-def _affine(at_px: Float64) -> Float64:
-    return np.column_stack([np.ones(len(at_px)), at_px])
