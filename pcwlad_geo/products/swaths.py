@@ -14,6 +14,7 @@ from pcwlad_geo.products.names import beside
 from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree
 from pcwlad_geo.raster.file_tree import name_in
+from pcwlad_geo.raster.swath_files import SWATH_FILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +104,7 @@ def _ecostress_mask(image: re.Match[str]) -> tuple[str, str, str]:
 
 VIIRS_L1B: Final = SwathSensor(
     "VIIRS L1B",
-    re.compile(
-        r"(?P<satellite>VNP|VJ[12])02(?P<kind>IMG|MOD|DNB)(?:_NRT)?\.(?P<time>A\d{7}\.\d{4})\.\d{3}\.\d{13}\.nc"
-    ),
+    SWATH_FILES["VIIRS"].images,
     "VNP02IMG.….nc or another",
     re.compile(r"(?:(?:VNP|VJ[12])03(?:IMG|MOD|DNB)|CLDMSK_L2_VIIRS)\w*\.A\d{7}\.\d{4}\..*\.nc"),
     _viirs_mask,
@@ -113,9 +112,7 @@ VIIRS_L1B: Final = SwathSensor(
 """The kind of all images of VIIRS of level 1B, in pixels of 375 m, 750 m, and by night (DNB)."""
 ECOSTRESS_SWATH: Final = SwathSensor(
     "ECOSTRESS swath",
-    re.compile(
-        r"(?P<collection>ECOSTRESS|ECOv\d{3})_(?:L1B_RAD|L2_LSTE)_(?P<scene>\d{5}_\d{3}_\d{8}T\d{6})_\d{4}_\d\d\.h5"
-    ),
+    SWATH_FILES["ECOSTRESS"].images,
     "ECOv002_L2_LSTE_….h5 or ECOv002_L1B_RAD_….h5",
     re.compile(r"(?:ECOSTRESS|ECOv\d{3})_(?:L1B_GEO|L2_CLOUD)_.*\.h5"),
     _ecostress_mask,

@@ -24,7 +24,7 @@ class SwathFiles:
     """How the files of a sensor are named, and which arrays place the pixels."""
 
     images: re.Pattern[str]
-    """Whole name of a file with images."""
+    """Whole name of a file with images, whose groups tell scenes apart."""
     partner: str
     """Name of the file that places them, with the groups of `images`, and * for any text."""
     arrays: re.Pattern[str]
@@ -53,20 +53,24 @@ class CodeParameters:
 
 CODES: Final = CodeParameters()
 """Those in use."""
-_SENSORS: Final = (
-    SwathFiles(
-        re.compile(r"(VNP|VJ[12])02(IMG|MOD|DNB)\w*\.(A\d{7}\.\d{4})\..*\.nc"),
-        r"\g<1>03\2*.\3.*.nc",
+SWATH_FILES: Final = {
+    "VIIRS": SwathFiles(
+        re.compile(
+            r"(?P<satellite>VNP|VJ[12])02(?P<kind>IMG|MOD|DNB)(?:_NRT)?\.(?P<time>A\d{7}\.\d{4})\..*\.nc"
+        ),
+        r"\g<satellite>03\g<kind>*.\g<time>.*.nc",
         re.compile(r"/observation_data/(?P<band>[IM]\d\d|DNB)(?:_observations)?"),
         "/geolocation_data",
     ),
-    SwathFiles(
-        re.compile(r"(ECOSTRESS|ECOv\d{3})_(?:L1B_RAD|L2_LSTE)_(\d{5}_\d{3}_\d{8}T\d{6})_.*\.h5"),
-        r"\1_L1B_GEO_\2_*.h5",
+    "ECOSTRESS": SwathFiles(
+        re.compile(
+            r"(?P<collection>ECOSTRESS|ECOv\d{3})_(?:L1B_RAD|L2_LSTE)_(?P<scene>\d{5}_\d{3}_\d{8}T\d{6})_.*\.h5"
+        ),
+        r"\g<collection>_L1B_GEO_\g<scene>_*.h5",
         re.compile(r"/(?:SDS|Radiance)/(?P<band>LST|EmisWB|Emis\d|radiance_\d)"),
         "/Geolocation",
     ),
-)
+}
 """VIIRS of level 1B; ECOSTRESS of levels 1B and 2, as seen."""
 _GDAL_TYPES: Final = {"|u1": "Byte", "<u2": "UInt16", "<i2": "Int16", "<f4": "Float32"}
 
@@ -77,7 +81,7 @@ def swath_bands(path: Path, file: h5py.File) -> list[tuple[str, str]]:
     Raises `InputError` if the file that places them is missing.
     """
     paths = [f"/{group}/{name}" for group in file for name in getattr(file[group], "keys", tuple)()]
-    for files in _SENSORS:
+    for files in SWATH_FILES.values():
         if files.images.fullmatch(path.name):
             files.geolocation_file(path)
             named = ((match["band"], at) for at in paths if (match := files.arrays.fullmatch(at)))
@@ -91,7 +95,7 @@ def swath_vrt(path: str, array: str) -> str | None:
     The file was checked. Raises `InputError` if it is damaged, or the file that places it is missing.
     """
     image = Path(path).absolute()
-    for files in _SENSORS:
+    for files in SWATH_FILES.values():
         if files.images.fullmatch(image.name) and files.arrays.fullmatch(array):
             return _vrt(files, image, files.geolocation_file(image), array, OnDisk(image).stamp())
     return None

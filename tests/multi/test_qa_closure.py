@@ -19,7 +19,7 @@ from pcwlad_geo.multi.qa.band_pairs import PairResult
 from pcwlad_geo.multi.qa.bands import Band
 from pcwlad_geo.multi.qa.closure import TriangleSide, close_triangle, close_triangles, standard_error
 from pcwlad_geo.raster import Grid, transform_xy
-from pcwlad_geo.raster.grid import apply, apply_inverse
+from pcwlad_geo.raster.grid import apply
 from tests.multi.measured_bands import UTM, make_band, make_mapped_pair, make_pair, refused
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def bent(shown: Affine, lens: float) -> tuple[Callable[[Array], Array], Callable
     def to_scene(band_px: Array) -> Array:
         apart = band_px - middle
         radius = np.hypot(*apart.T)[:, None] / corner
-        return apply_inverse(shown, band_px + lens * apart / corner * radius**2)
+        return apply(~shown, band_px + lens * apart / corner * radius**2)
 
     def to_band(scene_px: Array) -> Array:
         straight = apply(shown, scene_px)
@@ -213,7 +213,7 @@ def test_any_grids_close() -> None:
     def seen_at(one: str, other: str) -> Callable[[Array], Array]:
         def through(px: Array) -> Array:
             claimed = transform_xy(grids[one].to_xy(px), grids[one].crs, UTM)
-            elsewhere = apply(ground[other], apply_inverse(ground[one], claimed))
+            elsewhere = apply(ground[other], apply(~ground[one], claimed))
             return grids[other].to_px(transform_xy(elsewhere, UTM, grids[other].crs))
 
         return through
