@@ -23,6 +23,8 @@ MOVED_PX: Final = (7.3, -5.6)
 """Displacement of the ground (col, row) that the search reaches."""
 NEAR_PX: Final = (2.3, -1.6)
 """Displacement at which what stands still draws the points, all or part of the way."""
+HALF_PX: Final = (-0.6, -0.4)
+"""Displacement that is told from none only where what stands still is left out."""
 NOISE: Final = 1.5
 SEED: Final = 54
 Overlay = Callable[[Array], Array]
@@ -160,6 +162,7 @@ GROUNDS: Final[dict[str, tuple[float, int, tuple[float, float] | None]]] = {
     "faint ground, moved": (0.12, 0, MOVED_PX),
     "faint ground, moved by 2 px": (0.12, 0, NEAR_PX),
     "faint ground, elsewhere": (0.12, 1, None),
+    "clear ground, moved by half a pixel": (0.5, 0, HALF_PX),
     "clear ground, in place": (1.0, 0, (0.0, 0.0)),
 }
 """Contrast, how much the seed of the ground in the target differs, and how far it has moved; None: it is not

@@ -28,6 +28,8 @@ class SpeckParameters:
     stroke_px: float = 4.0
     """Largest mean distance from the edge of the strokes of writing and of lines, of any extent: half of
     their half width."""
+    same_outline: float = 0.9
+    """Least share of the pixels at an end of the range, where they touch, that are there in both images."""
     most: float = 0.35
     """Largest share of the image that is specks; beyond it, it is texture."""
     fill_px: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
@@ -62,11 +64,35 @@ def without_marked(frames: Frames, parameters: SpeckParameters) -> Frames:
     What does not count is filled from around it, so that no outline remains.
     """
     one, other, valid = frames
-    for end in (np.min, np.max):
-        valid = valid & ~((one == end(one)) & (other == end(other)))
+    for low_or_high in _at_ends(frames):
+        valid = valid & ~np.logical_and(*low_or_high)
     if not valid.any():
         return frames._replace(valid=valid)
-    return Frames(_filled(one, ~valid, parameters), _filled(other, ~valid, parameters), valid)
+    return Frames(filled(one, ~valid, parameters), filled(other, ~valid, parameters), valid)
+
+
+def strokes(frames: Frames, parameters: SpeckParameters) -> Bool:
+    """Return the (rows, cols) pixels at the same end of both ranges that are strokes of writing or lines.
+
+    They have the same outline in both images, as bright and dark ground of two bands or dates has not.
+    """
+    marks = np.zeros(frames.valid.shape, bool)
+    for one, other in _at_ends(frames):
+        both, either = one & other, one | other
+        count, labels = cv2.connectedComponents(either.astype(np.uint8))
+        shared = np.bincount(labels[both], None, count) / np.maximum(np.bincount(labels.ravel()), 1)
+        marks |= both & (shared >= parameters.same_outline)[labels]
+    return _thin(marks, parameters) & marks
+
+
+def _at_ends(frames: Frames) -> list[tuple[Bool, Bool]]:
+    """Return the (rows, cols) pixels at the lower end of the range of each image, then at the upper one."""
+    one, other, valid = frames
+    if not valid.any():
+        return []
+    return [
+        (valid & (one == end(one[valid])), valid & (other == end(other[valid]))) for end in (np.min, np.max)
+    ]
 
 
 def without_specks(frames: Frames, parameters: SpeckParameters, smooth_px: float) -> Frames | None:
@@ -79,7 +105,7 @@ def without_specks(frames: Frames, parameters: SpeckParameters, smooth_px: float
     specks = _specks(one, other, valid, parameters)
     if not 0 < specks.mean() <= parameters.most:
         return None
-    rest = Frames(_filled(one, specks, parameters), _filled(other, specks, parameters), valid & ~specks)
+    rest = Frames(filled(one, specks, parameters), filled(other, specks, parameters), valid & ~specks)
     structure = min(_structure_by_noise(values, rest.valid, smooth_px) for values in rest[:2])
     return None if structure < parameters.structured else rest
 
@@ -94,6 +120,11 @@ def _specks(one: Float32, other: Float32, valid: Bool, parameters: SpeckParamete
             (np.minimum(first, second) > parameters.outlying)
             | (np.maximum(first, second) < -parameters.outlying)
         )
+    return _thin(outliers, parameters)
+
+
+def _thin(outliers: Bool, parameters: SpeckParameters) -> Bool:
+    """Return the pixels of small specks and of strokes, grown."""
     kernel = np.ones((2 * parameters.grow_px + 1,) * 2)
     grown = cv2.dilate(outliers.astype(np.uint8), kernel)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(grown)
@@ -116,8 +147,8 @@ def _outlying(values: Float32, valid: Bool, parameters: SpeckParameters) -> Floa
     return np.asarray((away - middle) / max(sigma, 1e-6), np.float32)
 
 
-def _filled(values: Float32, holes: Bool, parameters: SpeckParameters) -> Float32:
-    """Return values with holes filled smoothly from around them."""
+def filled(values: Float32, holes: Bool, parameters: SpeckParameters) -> Float32:
+    """Return (rows, cols) `values` with their (rows, cols) `holes` filled smoothly from around them."""
     filled, filled_pixels = values.copy(), np.asarray(~holes)
     weight = filled_pixels.astype(np.float32)
     for sigma_px in parameters.fill_px:

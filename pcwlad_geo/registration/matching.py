@@ -11,12 +11,13 @@ import numpy as np
 from pcwlad_geo.correction.points import thin
 from pcwlad_geo.correction.selection_parameters import SELECTION
 from pcwlad_geo.events import EventCallback, JobLog, Progress, ignore
-from pcwlad_geo.execution.runner import Runner, one_library_thread
+from pcwlad_geo.execution.runner import InThisProcess, Runner, one_library_thread
 from pcwlad_geo.matching import TiePoints
 from pcwlad_geo.matching.clusters import contradicted_clusters
 from pcwlad_geo.raster import ViewPair, Window, file_px_per_px
 from pcwlad_geo.registration.decision import Decision, with_doubts
 from pcwlad_geo.registration.edge_sides import shared_errors
+from pcwlad_geo.registration.frame_cleaning import with_infos, without_marks
 from pcwlad_geo.registration.frame_evidence import FrameEvidence, frame_evidence
 from pcwlad_geo.registration.match_record import record_ground
 from pcwlad_geo.registration.motions import Motion, describe_motions
@@ -81,14 +82,28 @@ def match_pair(
     path = pair.settings.tie_points
     try:
         if path:
-            matches = _from_file(pair, path, log)
+            matches = _with_frame_evidence(_from_file(pair, path, log), log, runner, parameters)
         else:
-            matches = _without_clusters(_by_matching(pair, log, runner, parameters), log, parameters)
-        matches = _with_frame_evidence(matches, log, runner, parameters)
+            matches = _of_ground(pair, log, runner, parameters)
     finally:
         forget_tiles()
     matches = _with_rpc_note(_with_positions(matches))
     return replace(matches, warnings=tuple(log.warnings), seconds=log.seconds)
+
+
+def _of_ground(pair: Pair, log: JobLog, runner: Runner, parameters: PairParameters) -> Matches:
+    """Match a pair without what stands still in both frames."""
+    with log.stage("reading"):
+        cleaned = without_marks(pair, in_memory=runner.shares_memory)
+    if cleaned is None:
+        matches = _without_clusters(_by_matching(pair, log, runner, parameters), log, parameters)
+        return _with_frame_evidence(matches, log, runner, parameters)
+    log.warn(cleaned.note)
+    here = runner if runner.is_local else InThisProcess()
+    matches = _without_clusters(_by_matching(cleaned.pair, log, here, parameters), log, parameters)
+    matches = _with_frame_evidence(matches, log, here, parameters)
+    views = with_infos(matches.views, pair.views.reference.info, pair.views.target.info)
+    return replace(matches, pair=pair, views=views, frames=cleaned.scratch)
 
 
 def _with_frame_evidence(

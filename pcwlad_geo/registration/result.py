@@ -172,6 +172,8 @@ class Matches(Shown):
     """One of the tiles, as all were matched; None for points of a file."""
     scales: Scales | None = None
     """The windows of the last pass; None where there was none."""
+    frames: object = None
+    """What keeps the files that were matched, where they are no longer those of the pair."""
     origin: Origin | None = None
     """Of points of a file; None of those that were matched here."""
     roles: NDArray[np.str_] | None = None

@@ -1,0 +1,185 @@
+"""Frames without what stands still in both: strokes of writing and lines, and stripes of rows or columns.
+
+Where two images have the same pixels, such marks agree at no displacement, and draw the tie points of ground
+that has moved by a few pixels. They are left out before the matching.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from pcwlad_geo.estimation.plausible import ALL_VALUES
+from pcwlad_geo.raster import Grid, RasterInfo, View, ViewPair, Window
+from pcwlad_geo.raster.raster import Raster
+from pcwlad_geo.raster.scratch import Scratch
+from pcwlad_geo.registration.frame_marks import Frames, SpeckParameters, filled, strokes
+from pcwlad_geo.registration.result import Pair
+from pcwlad_geo.types import Bool, Float32, Float64
+
+
+@dataclass(frozen=True, slots=True)
+class CleaningParameters:
+    """How marks are told from ground, and how large frames may be."""
+
+    most_px: int = 2**24
+    """Largest number of pixels of a frame: as of a camera with 16 megapixels."""
+    least_px: int = 48
+    """Least side of a frame in which stripes are told from ground."""
+    least_share: float = 0.005
+    """Least share of the pixels that are marks: below it, they are single pixels as of saturated roofs."""
+    most_share: float = 0.35
+    """Largest share; beyond it, they are texture."""
+    widest_px: int = 14
+    """Width up to which marks are gaps in what is matched, as in `matching.gaps`; wider ones are filled."""
+    grow_px: int = 1
+    """By how much marks are grown, for their blurred edges."""
+    smooth_px: float = 4.0
+    """Standard deviation of the filter across rows or columns beside which they stand out."""
+    stripes: float = 0.5
+    """Least correlation of the mean rows, or columns, of both halves of an image and of both images, where
+    stripes cross all of them: ground is another one in the other half."""
+    beside: float = 0.7
+    """Largest ratio of their correlation at other displacements to that at none."""
+    least_valid: float = 0.1
+    """Least share of a column or row that is valid, where its mean counts."""
+    reach_px: int = 12
+    """Largest of these displacements."""
+    specks: SpeckParameters = field(default_factory=SpeckParameters)
+    """Those of marks."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanedPair:
+    """A pair of which the marks are left out, and what says so."""
+
+    pair: Pair
+    note: str
+    scratch: Scratch
+    """What keeps the files of the cleaned frames."""
+
+
+def without_marks(
+    pair: Pair, *, in_memory: bool, parameters: CleaningParameters = CleaningParameters()
+) -> CleanedPair | None:
+    """Return a pair without what stands still in both frames; None where nothing does.
+
+    Asked of two rasters of the same grid, of which all may be read. The files of the cleaned frames are held
+    `in_memory`, where this process alone finds them. Raises `InputError` if one cannot be read.
+    """
+    reference, target = pair.reference, pair.target
+    same = type(reference.grid) is Grid and reference.grid == target.grid and reference.uri != target.uri
+    if not same or pair.settings.extent is not None or np.prod(reference.grid.shape) > parameters.most_px:
+        return None
+    whole = Window.whole(reference.grid.shape)
+    one, other = (View(info, info.grid, "none").read(whole) for info in (reference, target))
+    frames = Frames(one.values.astype(np.float32), other.values.astype(np.float32), one.valid & other.valid)
+    marks = _marks(frames, parameters)
+    profiles = {axis: _stripes(frames, marks, axis, parameters) for axis in (0, 1)}
+    stripes = {axis: shared for axis, shared in profiles.items() if shared is not None}
+    if not marks.any() and not stripes:
+        return None
+    scratch, infos = Scratch(in_memory=in_memory), []
+    for number, (info, patch) in enumerate(((reference, one), (target, other))):
+        values = patch.values.astype(np.float32)
+        for axis, shared in stripes.items():
+            values -= np.expand_dims(shared[number], axis)
+        values[~patch.valid] = np.nan
+        uri = scratch.file_of(Raster(_unmarked(values, marks, parameters), info.grid), f"frame_{number}")
+        infos.append(_of_file(info, uri))
+    return CleanedPair(_with(pair, *infos), _note(float(marks.mean()), list(stripes)), scratch)
+
+
+def _unmarked(values: Float32, marks: Bool, parameters: CleaningParameters) -> Float32:
+    """Return values without marks: NaN, and where they are as wide as letters side by side, as around them.
+
+    The matching fills narrow gaps itself, and gives them no weight, but keeps away from wide holes.
+    """
+    side, invalid = parameters.widest_px + 1, np.isnan(values)
+    holes = cv2.morphologyEx(marks.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    wide = marks & (cv2.dilate(holes, np.ones((side, side), np.uint8)) > 0)
+    if wide.any():
+        known = np.where(invalid, np.nanmedian(values), values)
+        values = np.where(invalid, np.float32(np.nan), filled(known, marks, parameters.specks))
+    return np.where(marks & ~wide, np.float32(np.nan), values)
+
+
+def _note(share: float, axes: list[int]) -> str:
+    whole = " and ".join("columns" if axis == 0 else "rows" for axis in axes)
+    parts = [f"text and lines on {100 * share:.1f} % of the pixels"] if share else []
+    parts += [f"what whole {whole} have in common"] if axes else []
+    return f"the matching leaves out what both frames have at the same pixels: {' and '.join(parts)}"
+
+
+def _of_file(info: RasterInfo, uri: str) -> RasterInfo:
+    """Return the description of a cleaned frame, whose invalid pixels are NaN."""
+    plain = replace(info, uri=uri, band=1, band_count=1, dtype="float32", nodata=None, several=None)
+    plain = replace(plain, mask_uri=None, mask_grid=None, areas=None, brightness=None, collar=None)
+    return replace(plain, fills=(), limits=ALL_VALUES, content="")
+
+
+def _with(pair: Pair, reference: RasterInfo, target: RasterInfo) -> Pair:
+    """Return a pair of these rasters on the same views."""
+    views = with_infos(pair.views, reference, target)
+    return replace(pair, reference=reference, target=target, views=views)
+
+
+def with_infos(views: ViewPair, reference: RasterInfo, target: RasterInfo) -> ViewPair:
+    """Return the views of a pair with other files of the same grids."""
+    one, other = replace(views.reference, info=reference), replace(views.target, info=target)
+    return replace(views, reference=one, target=other)
+
+
+def _marks(frames: Frames, parameters: CleaningParameters) -> Bool:
+    """Return the (rows, cols) pixels of strokes that are at the same end of both ranges."""
+    marks = strokes(frames, parameters.specks)
+    if not parameters.least_share <= marks.mean() <= parameters.most_share:
+        return np.zeros(marks.shape, bool)
+    kernel = np.ones((2 * parameters.grow_px + 1,) * 2)
+    return np.asarray(cv2.dilate(marks.astype(np.uint8), kernel) > 0)
+
+
+def _stripes(
+    frames: Frames, marks: Bool, axis: int, parameters: CleaningParameters
+) -> tuple[Float64, Float64] | None:
+    """Return the profiles of columns (axis 0) or rows (1) that both frames share; None where they do not.
+
+    Stripes go on from one half of an image to the other, and lie on the same pixels of both.
+    """
+    if min(marks.shape) < parameters.least_px:
+        return None
+    one, other = (np.moveaxis(values, axis, 0) for values in frames[:2])
+    valid = np.moveaxis(frames.valid & ~marks, axis, 0)
+    halves = np.s_[: len(valid) // 2], np.s_[len(valid) // 2 :]
+    both = _profile(one, valid, parameters), _profile(other, valid, parameters)
+    at_none = _correlation(*both)
+    own = [
+        _correlation(*(_profile(values[half], valid[half], parameters) for half in halves))
+        for values in (one, other)
+    ]
+    if min(abs(at_none), *own) < parameters.stripes:
+        return None
+    shifts = [shift for shift in range(-parameters.reach_px, parameters.reach_px + 1) if abs(shift) > 1]
+    elsewhere = max(abs(_correlation(both[0], np.roll(both[1], shift))) for shift in shifts)
+    return None if elsewhere > parameters.beside * abs(at_none) else both
+
+
+def _profile(values: Float32, valid: Bool, parameters: CleaningParameters) -> Float64:
+    """Return what the columns of an image have beside their neighbours: (cols,) medians."""
+
+    def blurred(part: Float32) -> Float32:
+        return np.asarray(ndimage.gaussian_filter1d(part, parameters.smooth_px, axis=1))
+
+    around = blurred(np.where(valid, values, 0)) / np.maximum(blurred(valid.astype(np.float32)), 1e-3)
+    beside = np.where(valid, values - around, np.nan)
+    enough, profile = valid.mean(axis=0) > parameters.least_valid, np.zeros(values.shape[1])
+    profile[enough] = np.nanmedian(beside[:, enough], axis=0)
+    return profile
+
+
+def _correlation(one: Float64, other: Float64) -> float:
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(one @ other) / size if size > 0 else 0.0
