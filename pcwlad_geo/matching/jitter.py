@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -39,37 +40,48 @@ JITTER: Final = JitterParameters()
 """Those in use."""
 
 
-def displacement_by_stripes(pair: ChannelPair, points: TiePoints, guide: FieldGuide) -> Float64:
-    """Return (2, n, 2) displacements (col, row) by windows of few rows, then of few columns, NaN if lost.
+def displacement_by_stripes(
+    pair: ChannelPair, points: TiePoints, guide: FieldGuide, beside_px: Sequence[int]
+) -> Float64:
+    """Return (2k, n, 2) displacements (col, row) by windows of few rows, then of few columns, NaN if lost.
 
-    The n `points` and their `guide` are in pixel coordinates of the arrays of `pair`.
+    The n `points` and their `guide` are in pixel coordinates of the arrays of `pair`. There are k windows of
+    either kind, beside the points by `beside_px`, across their length. The displacements are at the points
+    themselves, as the deformation of their window tells.
     """
     begin = np.where(guide.leads[:, None], guide.structure_xy_px, points.displacement_px)
-    corners = to_index(points)
-    start = InitialEstimate(begin, guide.linear)
-    displacements = []
-    for window_px in ((JITTER.width_px, JITTER.length_px), (JITTER.length_px, JITTER.width_px)):
-        refined = refine(
-            pair.reference,
-            pair.target,
-            corners,
-            start,
-            window_px=window_px,
-            use_structure=False,
-            threads=pair.threads,
-        )
-        displacements.append(np.where(refined.converged[:, None], refined.shift_xy_px, np.nan))
+    corners, displacements = to_index(points), []
+    rows, cols = (JITTER.width_px, JITTER.length_px), (JITTER.length_px, JITTER.width_px)
+    for window_px, across_xy in ((rows, (0, 1)), (cols, (1, 0))):
+        for offset_px in beside_px:
+            offset_xy = offset_px * np.array(across_xy)
+            bent_px = guide.linear @ offset_xy
+            refined = refine(
+                pair.reference,
+                pair.target,
+                corners + offset_xy[::-1],
+                InitialEstimate(begin + bent_px, guide.linear),
+                window_px=window_px,
+                use_structure=False,
+                threads=pair.threads,
+            )
+            shift_xy = np.where(refined.converged[:, None], refined.shift_xy_px, np.nan)
+            displacements.append(shift_xy - bent_px)
     return np.stack(displacements)
 
 
-def jitter_px(xy_px: Float64, difference_px: Float64) -> float:
+def jitter_px(xy_px: Float64, difference_px: Float64, beside_px: Sequence[int] = (0,)) -> float:
     """Return by how much rows and columns move within a window, RMS, px; 0 where that may be chance.
 
-    The n points have (n, 2) positions `xy_px` (col, row); the (2, n, 2) `difference_px` are their
-    displacements by windows of few rows, then of few columns, less those by whole windows; NaN for failures.
-    Errors of windows are their own, except for what those of the same rows, far along them, share.
+    The n points have (n, 2) positions `xy_px` (col, row); the (2k, n, 2) `difference_px` are their
+    displacements by k windows of few rows, then of few columns, which lie beside them by `beside_px`, less
+    those by whole windows; NaN for failures. Errors of windows are their own, except for what those of the
+    same rows, far along them, share.
     """
-    return float(np.hypot(_shared(xy_px, difference_px[0], 1), _shared(xy_px, difference_px[1], 0)))
+    rows, cols = difference_px.reshape(2, -1, 2)
+    across = np.array([[0, offset_px] for offset_px in beside_px], np.float64)
+    at_rows, at_cols = ((part[:, None] + xy_px).reshape(-1, 2) for part in (across, across[:, ::-1]))
+    return float(np.hypot(_shared(at_rows, rows, 1), _shared(at_cols, cols, 0)))
 
 
 def _shared(xy_px: Float64, difference_px: Float64, across: int) -> float:

@@ -244,9 +244,10 @@ def compare_windows(job: TileJob, points: TiePoints, guide: FieldGuide, windows_
     return _compared(job, points, guide, see, len(windows_px))
 
 
-def compare_stripes(job: TileJob, points: TiePoints, guide: FieldGuide) -> Float64:
-    """Return (2, n, 2) what `compare_windows` does, by windows of few rows, then of few columns."""
-    return _compared(job, points, guide, displacement_by_stripes, 2)
+def compare_stripes(job: TileJob, points: TiePoints, guide: FieldGuide, beside_px: Sequence[int]) -> Float64:
+    """Return (2k, n, 2) what `compare_windows` does, by windows of few rows, then of few columns."""
+    see = partial(displacement_by_stripes, beside_px=beside_px)
+    return _compared(job, points, guide, see, 2 * len(beside_px))
 
 
 def compare_surroundings(job: TileJob, points: TiePoints, guide: FieldGuide, other_px: Float64) -> Float64:

@@ -39,6 +39,16 @@ def test_what_rows_or_columns_share_is_told_beside_noise_of_its_size(axis: int) 
     assert jitter_px(at_px, beside) == pytest.approx(0.3 * np.sqrt((1 + 0.25) / 2), rel=0.15)
 
 
+def test_windows_beside_the_points_show_jitter_weaker_than_their_noise() -> None:
+    rng, beside_px = np.random.default_rng(3), (-40, 0, 40)
+    at_px = rng.uniform(50, 450, (240, 2))
+    beside = rng.normal(0, 0.38, (6, 240, 2))
+    assert jitter_px(at_px, beside, beside_px) == 0
+    beside[:3] += [shaken(at_px + np.array([0, offset_px]), 0.25) for offset_px in beside_px]
+    assert jitter_px(at_px, beside, beside_px) == pytest.approx(0.25 * np.sqrt((1 + 0.25) / 2), rel=0.2)
+    assert jitter_px(at_px, beside[[1, 4]]) == 0
+
+
 def test_noise_a_tilt_and_a_few_wrong_windows_are_no_jitter() -> None:
     at_px, beside = scattered()
     assert jitter_px(at_px, beside) == 0

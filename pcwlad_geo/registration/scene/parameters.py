@@ -40,6 +40,8 @@ class SceneParameters:
     one side only, and of a small image most is near edges."""
     smaller_windows: tuple[float, float] = (0.56, 0.75)
     """Sides of the windows that tell the error of a given one, shares of its own."""
+    stripes_beside_px: tuple[int, ...] = (-40, 0, 40)
+    """Where the windows of few rows, or columns, that show jitter lie beside a point, across their length."""
     perspective_px: float = 1.0
     """Least distance of a homography from its best affine fit, at some point, with which it is taken, px."""
     homography_error_ratio: float = 0.9

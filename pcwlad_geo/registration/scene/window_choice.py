@@ -74,7 +74,9 @@ def choose_windows(
     larger = [index[:: max(1, step // 2)] for index in members]
     sample = np.concatenate(larger)
     xy, displacement_px = points.reference_xy_px[sample], points.displacement_px[sample]
-    jitter, share = jitter_px(xy, measured(compare_stripes, larger) - displacement_px), 0.0
+    beside_px = context.parameters.stripes_beside_px
+    stripes_px = measured(partial(compare_stripes, beside_px=beside_px), larger)
+    jitter, share = jitter_px(xy, stripes_px - displacement_px, beside_px), 0.0
     if other_px is not None:
         best_px = measured(partial(compare_surroundings, other_px=other_px), larger)[0]
         share = share_displaced(best_px - displacement_px, other_px, context.parameters.motions)
