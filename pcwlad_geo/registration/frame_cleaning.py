@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from pcwlad_geo.estimation.plausible import ALL_VALUES
 from pcwlad_geo.raster import Grid, RasterInfo, View, ViewPair, Window
@@ -44,6 +43,10 @@ class CleaningParameters:
     stripes cross all of them: ground is another one in the other half."""
     beside: float = 0.7
     """Largest ratio of their correlation at other displacements to that at none."""
+    outlying: float = 4.0
+    """Deviations from around, in their mean, beyond which pixels are cut to that."""
+    most_rows: int = 256
+    """Largest number of rows, spread over an image, in which stripes are looked for."""
     least_valid: float = 0.1
     """Least share of a column or row that is valid, where its mean counts."""
     reach_px: int = 12
@@ -153,31 +156,38 @@ def _stripes(
         return None
     one, other = (np.moveaxis(values, axis, 0) for values in frames[:2])
     valid = np.moveaxis(frames.valid & ~marks, axis, 0)
+    some = np.s_[:: -(-len(valid) // parameters.most_rows)]
+    both = [_profile(values[some], valid[some], parameters) for values in (one, other)]
+    at_none = abs(_correlation(*both))
+    shifts = [shift for shift in range(-parameters.reach_px, parameters.reach_px + 1) if abs(shift) > 1]
+    elsewhere = max(abs(_correlation(both[0], np.roll(both[1], shift))) for shift in shifts)
+    if at_none < parameters.stripes or elsewhere > parameters.beside * at_none:
+        return None
     halves = np.s_[: len(valid) // 2], np.s_[len(valid) // 2 :]
-    both = _profile(one, valid, parameters), _profile(other, valid, parameters)
-    at_none = _correlation(*both)
     own = [
         _correlation(*(_profile(values[half], valid[half], parameters) for half in halves))
         for values in (one, other)
     ]
-    if min(abs(at_none), *own) < parameters.stripes:
+    if min(own) < parameters.stripes:
         return None
-    shifts = [shift for shift in range(-parameters.reach_px, parameters.reach_px + 1) if abs(shift) > 1]
-    elsewhere = max(abs(_correlation(both[0], np.roll(both[1], shift))) for shift in shifts)
-    return None if elsewhere > parameters.beside * abs(at_none) else both
+    return _profile(one, valid, parameters), _profile(other, valid, parameters)
 
 
 def _profile(values: Float32, valid: Bool, parameters: CleaningParameters) -> Float64:
-    """Return what the columns of an image have beside their neighbours: (cols,) medians."""
+    """Return what the columns of an image have beside their neighbours: (cols,) means without outliers."""
+    reach_px = round(3 * parameters.smooth_px)
 
     def blurred(part: Float32) -> Float32:
-        return np.asarray(ndimage.gaussian_filter1d(part, parameters.smooth_px, axis=1))
+        size = 2 * reach_px + 1, 1
+        return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(part), size, parameters.smooth_px))
 
-    around = blurred(np.where(valid, values, 0)) / np.maximum(blurred(valid.astype(np.float32)), 1e-3)
-    beside = np.where(valid, values - around, np.nan)
-    enough, profile = valid.mean(axis=0) > parameters.least_valid, np.zeros(values.shape[1])
-    profile[enough] = np.nanmedian(beside[:, enough], axis=0)
-    return profile
+    weight = valid.astype(np.float32)
+    known = values * weight
+    beside = (values - blurred(known) / np.maximum(blurred(weight), 1e-3)) * weight
+    limit = parameters.outlying * float(np.abs(beside).sum() / max(weight.sum(), 1))
+    count = weight.sum(axis=0)
+    profile = np.clip(beside, -limit, limit).sum(axis=0, dtype=np.float64) / np.maximum(count, 1)
+    return np.where(count > parameters.least_valid * len(valid), profile, 0.0)
 
 
 def _correlation(one: Float64, other: Float64) -> float:

@@ -79,6 +79,8 @@ def strokes(frames: Frames, parameters: SpeckParameters) -> Bool:
     marks = np.zeros(frames.valid.shape, bool)
     for one, other in _at_ends(frames):
         both, either = one & other, one | other
+        if not both.any():
+            continue
         count, labels = cv2.connectedComponents(either.astype(np.uint8))
         shared = np.bincount(labels[both], None, count) / np.maximum(np.bincount(labels.ravel()), 1)
         marks |= both & (shared >= parameters.same_outline)[labels]
