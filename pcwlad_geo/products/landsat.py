@@ -86,6 +86,7 @@ def find_landsat(tree: FileTree, scene: str | None = None) -> Product | None:
         missing=_missing(text, identifier, files),
         cirrus=() if kind and identifier[3] not in "89" else ("B9",),
         aliases=_aliases(bands_by_name, {name: match["number"] for name, (match, _) in bands.items()}),
+        mask_file=f"{identifier}_{_QUALITY_FILES[collection]}",
     )
 
 

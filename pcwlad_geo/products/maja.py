@@ -29,7 +29,7 @@ _BAND_FILE_IN_XML: Final = re.compile(r"[\w-]{20,100}_(?:FRE|SRE)_B\d{1,2}A?\.ti
 def find_maja(tree: FileTree) -> Product | None:
     """Return the product of a folder or an archive; None where there is none.
 
-    Its bands are those corrected for slopes (FRE), and only where it has none the others (SRE). Raises
+    Its bands are those corrected for slopes (FRE), and only if it has none of these the others (SRE). Raises
     `InputError` if there are several products.
     """
     scenes = by_scene(tree.names, _MAJA_FILE)
@@ -43,11 +43,11 @@ def find_maja(tree: FileTree) -> Product | None:
         for part, name in sorted(files.items(), key=lambda item: _order(item[0]))
         if part.endswith(".TIF") and not part.startswith("CLM")
     }
-    best = {band.name: band for kind in ("SRE", "FRE") for name, band in numbers.items() if name[:3] == kind}
+    kind = "FRE" if any(name.startswith("FRE") for name in numbers) else "SRE"
+    best = {band.name: band for name, band in numbers.items() if name.startswith(kind)}
     mask = next((files[part] for part in sorted(files) if part.startswith("CLM")), None)
     text = tree.read_text(files["MTD_ALL.XML"]) if "MTD_ALL.XML" in files else ""
-    kind = "_FRE_" if any(name.startswith("FRE") for name in numbers) else "_SRE_"
-    listed = [name for name in dict.fromkeys(_BAND_FILE_IN_XML.findall(text)) if kind in name.upper()]
+    listed = [name for name in dict.fromkeys(_BAND_FILE_IN_XML.findall(text)) if f"_{kind}_" in name.upper()]
     held = {name_in(name).upper() for name in files.values()}
     two_digits = {f"B{int(name[1:]):02d}": band for name, band in best.items() if name[1:].isdecimal()}
     product = Product(

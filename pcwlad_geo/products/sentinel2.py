@@ -80,6 +80,7 @@ def find_sentinel2(tree: FileTree) -> Product | None:
         missing=facts.missing(tree),
         cirrus=("B10",),
         aliases=sized | {f"B{int(name[1:])}": band for name, band in finest.items() if name[1:].isdecimal()},
+        mask_file="MSK_CLASSI_B00.jp2" if facts.level == "L1C" else "*_SCL_20m.jp2",
     )
 
 

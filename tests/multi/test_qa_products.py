@@ -105,7 +105,7 @@ def test_a_mask_of_the_user_replaces_the_product_s(landsat: Path, tmp_path: Path
     assert {band.info.mask_uri for band in list_bands([landsat], mask=mask)} == {str(mask)}
     bare = write_landsat(tmp_path)
     next(bare.glob("*QA_PIXEL*")).unlink()
-    assert "has no quality raster" in list_bands([bare])[0].notes[0]
+    assert f"has no quality raster ({bare.name}_QA_PIXEL.TIF)" in list_bands([bare])[0].notes[0]
 
 
 def test_qa_of_a_landsat_product_against_a_band(

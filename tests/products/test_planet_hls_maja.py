@@ -138,6 +138,7 @@ def test_of_several_images_reflectance_is_taken_and_a_named_one_kept(tmp_path: P
         (write_maja, "_CLM_R1.tif", None, rf"no quality raster \(MASKS/{MAJA}_CLM_R1\.tif\)"),
         (write_hls, ".B10.tif", "B4", rf"lacks bands that its metadata list: {HLS}\.B10\.tif"),
         (write_maja, "_FRE_B8.tif", "B4", rf"lacks bands that its metadata list: {MAJA}_FRE_B8\.tif"),
+        (write_maja, "_FRE_B4.tif", "B4", rf"band B04 of .* is missing: .* list {MAJA}_FRE_B4\.tif"),
         (write_hls, ".B10.tif", "B10", rf"band B10 of .* is missing: .* list {HLS}\.B10\.tif"),
     ],
 )
