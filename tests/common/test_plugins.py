@@ -67,6 +67,7 @@ def desert(site: Path) -> None:
     satellite, points = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     project = tomllib.loads(re.findall(r"^```toml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)[0])
     modules = {"desert_sat": satellite, "desert_points": points}
+    assert project["tool"]["setuptools"]["py-modules"] == [*modules], "two modules are not found by pip alone"
     install(site, modules, project["project"]["entry-points"])
 
 
