@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -14,6 +14,7 @@ from rasterio.errors import CRSError
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.precision import Precision
+from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
@@ -33,7 +34,9 @@ from pcwlad_geo.raster.identity import same
 from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.registration import (
     CorrectedRpc,
+    Grade,
     Inputs,
+    Motion,
     Registration,
     RegistrationStatus,
     RpcRegistration,
@@ -106,6 +109,58 @@ class ReadReport:
     output_grid: GridEntry | None = None
     rpc: RpcEntry | None = None
     inputs: tuple[FileIdentity, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReadAxes:
+    """A displacement as a report.json has it."""
+
+    median: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadAccuracy:
+    """Residuals as a report.json has them."""
+
+    rmse: float
+    ce90: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReadQuality:
+    """A quality as a report.json has it."""
+
+    grade: Grade
+    expected_ce90_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReadCoverage:
+    """The coverage of a pair as a report.json has it."""
+
+    empty_share: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReadFigures:
+    """The figures of a pair that are read back of a report.json; see `Report`."""
+
+    status: RegistrationStatus | None = None
+    reason: str | None = None
+    warnings: tuple[str, ...] = ()
+    passed: bool | None = None
+    requirements: tuple[ReadRequirement, ...] = ()
+    motions: tuple[Motion, ...] = ()
+    jitter_px: float = 0.0
+    window_px: int | None = None
+    tie_points: Mapping[str, int] = field(default_factory=dict)
+    displacement_px: ReadAxes | None = None
+    model: Mapping[str, object] | None = None
+    accuracy: Mapping[str, Mapping[str, ReadAccuracy | None]] = field(default_factory=dict)
+    quality: ReadQuality | None = None
+    coverage: ReadCoverage = ReadCoverage()
+    proof: Proof | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,26 +295,36 @@ def read_report(out_dir: Path) -> dict[str, Any]:
     return report if is_ours and mismatch(report, Report) is None else {}
 
 
+def read_figures(out_dir: Path) -> ReadFigures | None:
+    """Return the figures of the report.json of a folder; None if there is none of this program."""
+    report = read_report(out_dir)
+    try:
+        return typed(report, ReadFigures) if report else None
+    except ValueError:  # of an earlier version
+        return None
+
+
 def report_of_same_job(
     command: Literal["register", "match"], inputs: tuple[str, str], settings: Settings, out_dir: Path
-) -> dict[str, Any]:
-    """Return the report.json of a folder if the same job wrote it, on files unchanged since; else nothing."""
-    report = read_report(out_dir)
-    if report.get("status") not in ("rejected", "registered" if command == "register" else "matched"):
-        return {}
+) -> ReadFigures | None:
+    """Return what a folder reports if the same job wrote it, on files unchanged since; else nothing."""
+    report, figures = read_report(out_dir), read_figures(out_dir)
+    finished_as = "registered" if command == "register" else "matched"
+    if figures is None or figures.status not in ("rejected", finished_as):
+        return None
     try:
         with trusting(settings.trust):
             resolved = resolve(*inputs, settings, all_bands=command == "register")
             if not _same_inputs(resolved, report):
-                return {}
+                return None
     except InputError:  # the job itself will raise it
-        return {}
+        return None
     reported = report["settings"] if isinstance(report["settings"], dict) else {}
     before = {name: value for name, value in reported.items() if name not in RUNNING}
     present = {name: value for name, value in asdict(resolved.settings).items() if name not in RUNNING}
     if present["no_report"] and before.get("no_report") is False:  # there is a page, which does no harm
         present |= {"no_report": False}
-    return report if before == plain(present) else {}
+    return figures if before == plain(present) else None
 
 
 def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:

@@ -144,8 +144,8 @@ def test_each_pair_is_proved_where_that_is_asked_for(done: Path, tmp_path: Path)
     assert "one pair cannot be checked" in page
     assert "The tool’s own error" not in (done / "out put/stack.html").read_text(encoding="utf-8")
     report.write_text(report.read_text(encoding="utf-8").replace('"shrunk"', '"shrunken"'), encoding="utf-8")
-    with pytest.raises(OutputError, match="damaged report"):
-        stack(images, out_dir=out, prove="quick", calibrate_sigma=True, **FEW)
+    stack(images, out_dir=out, prove="quick", calibrate_sigma=True, **FEW)
+    assert '"shrunk"' in report.read_text(encoding="utf-8"), "a damaged report is no earlier result"
 
 
 def test_an_image_that_cannot_be_read_is_named_and_the_rest_goes_on(done: Path, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
@@ -32,7 +32,7 @@ from pcwlad_geo.products.finding import products_found_once
 from pcwlad_geo.products.unpacking import unpacked_places
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.registration import estimate_tile_count
-from pcwlad_geo.report.finished import read_report, report_of_same_job
+from pcwlad_geo.report.finished import ReadFigures, read_figures, report_of_same_job
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
 
@@ -291,19 +291,18 @@ def _register_pair(pair: BatchPair, overwrite: bool, events: _PairEvents, runner
             **options,
         )
     except RequirementError:
-        return _registered(pair, read_report(pair.out_dir))
+        return _registered(pair, read_figures(pair.out_dir))
     except Exception as error:  # of any kind: the other pairs are processed nevertheless
         if error is events.error:
             raise
         return _not_done(pair, error)
-    return _registered(pair, read_report(pair.out_dir))
+    return _registered(pair, read_figures(pair.out_dir))
 
 
-def _registered(pair: BatchPair, report: Mapping[str, Any], *, before: bool = False) -> PairOutcome:
+def _registered(pair: BatchPair, report: ReadFigures | None, *, before: bool = False) -> PairOutcome:
     """Return the outcome of a registered pair, whether or not it meets its requirements."""
-    missed = [
-        requirement["message"] for requirement in report.get("requirements", ()) if not requirement["met"]
-    ]
+    requirements = report.requirements if report else ()
+    missed = [requirement.message for requirement in requirements if not requirement.met]
     reason = "; ".join(missed) or None
     return PairOutcome(pair, "registered", reason, done_before=before, figures=figures_of(report))
 
@@ -311,8 +310,8 @@ def _registered(pair: BatchPair, report: Mapping[str, Any], *, before: bool = Fa
 def _not_done(pair: BatchPair, error: Exception) -> PairOutcome:
     _release(error)
     if isinstance(error, RegistrationRejectedError):
-        report = read_report(pair.out_dir)
-        reason = report.get("reason") or str(error)
+        report = read_figures(pair.out_dir)
+        reason = (report and report.reason) or str(error)
         return PairOutcome(pair, "rejected", reason, figures=figures_of(report), error=error)
     reported = error if isinstance(error, PcwladGeoError) else explained(error)
     if reported is not None:
@@ -350,9 +349,8 @@ def _earlier(pair: BatchPair) -> PairOutcome | None:
     for number, place in unpacked_places(names, pair.out_dir).items():
         names[number] = str(place)
     report = report_of_same_job("register", (names[0], names[1]), pair.settings, pair.out_dir)
-    status = report.get("status")
-    if status == "registered":
+    if report is None:
+        return None
+    if report.status == "registered":
         return _registered(pair, report, before=True)
-    if status == "rejected":
-        return PairOutcome(pair, status, report.get("reason"), done_before=True, figures=figures_of(report))
-    return None
+    return PairOutcome(pair, "rejected", report.reason, done_before=True, figures=figures_of(report))

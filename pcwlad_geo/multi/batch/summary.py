@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.multi.batch.table import BatchPair
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
-from pcwlad_geo.report.finished import read_report
+from pcwlad_geo.report.finished import ReadFigures, read_report
 from pcwlad_geo.text import check_regular, csv_of
 
 SUMMARY: Final = "summary.csv"
@@ -58,34 +58,36 @@ class PairOutcome:
             "out_dir": str(self.pair.out_dir),
             "status": self.status,
             "done_before": self.done_before,
-            **(self.figures or figures_of({})),
+            **(self.figures or figures_of(None)),
             "passed": self.passed,
             "reason": self.reason,
         }
 
 
-def figures_of(report: Mapping[str, Any]) -> dict[str, Any]:
+def figures_of(report: ReadFigures | None) -> dict[str, Any]:
     """Return the figures of a report that the summary has; all are None without one."""
-    counts = report.get("tie_points") or {}
-    displacement = (report.get("displacement_px") or {}).get("median") or (None, None)
-    group, accuracy = _accuracy(report)
-    px, m = accuracy.get("px") or {}, accuracy.get("m") or {}
+    read = report or ReadFigures()
+    counts, quality = read.tie_points, read.quality
+    d_col, d_row = (None, None) if read.displacement_px is None else read.displacement_px.median
+    by_group = ((group, read.accuracy.get(group, {})) for group in ("check", "fit"))
+    group, accuracy = next((entry for entry in by_group if entry[1].get("px")), (None, {}))
+    px, m = accuracy.get("px"), accuracy.get("m")
     return {
         "tie_points": counts["total"] - counts["rejected"] if counts else None,
         "rejected": counts.get("rejected"),
-        "d_col_px": displacement[0],
-        "d_row_px": displacement[1],
-        "quality": (report.get("quality") or {}).get("grade"),
-        "expected_ce90_px": (report.get("quality") or {}).get("expected_ce90_px"),
-        "model": (report.get("model") or {}).get("name"),
+        "d_col_px": d_col,
+        "d_row_px": d_row,
+        "quality": quality and quality.grade,
+        "expected_ce90_px": quality and quality.expected_ce90_px,
+        "model": read.model and read.model["name"],
         "accuracy_at": group,
-        "rmse_px": px.get("rmse"),
-        "ce90_px": px.get("ce90"),
-        "rmse_m": m.get("rmse"),
-        "ce90_m": m.get("ce90"),
-        "passed": report.get("passed"),
-        "warnings": len(report["warnings"]) if report else None,
-        "seconds": round(sum(report["seconds"].values()), 1) if report else None,
+        "rmse_px": px and px.rmse,
+        "ce90_px": px and px.ce90,
+        "rmse_m": m and m.rmse,
+        "ce90_m": m and m.ce90,
+        "passed": read.passed,
+        "warnings": len(read.warnings) if report else None,
+        "seconds": round(sum(read.seconds.values()), 1) if report else None,
     }
 
 
@@ -147,12 +149,3 @@ def summary_writer(path: Path, outcomes: Sequence[PairOutcome], step: int) -> It
         yield keep
     finally:
         keep(least=1)
-
-
-def _accuracy(report: Mapping[str, Any]) -> tuple[str | None, Mapping[str, Any]]:
-    """Return the accuracy at the check points, or at the fit points if there are too few check points."""
-    for group in ("check", "fit"):
-        statistics = (report.get("accuracy") or {}).get(group) or {}
-        if statistics.get("px"):
-            return group, statistics
-    return None, {}

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from pcwlad_geo.correction.proof_result import Proof
-from pcwlad_geo.errors import OutputError
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.multi.stack.bases import basis_over
 from pcwlad_geo.multi.stack.edges import Edge
@@ -20,12 +18,11 @@ from pcwlad_geo.multi.stack.parameters import GRADING, GradeParameters
 from pcwlad_geo.registration import GOOD_PX, Grade, Motion, Reason, grade_of, grade_of_error
 from pcwlad_geo.registration.motions import describe_motions
 from pcwlad_geo.registration.quality import displaced_otherwise
-from pcwlad_geo.text import joined
+from pcwlad_geo.report.finished import ReadFigures
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.types import Bool, Float64
 
 PairStatus = Literal["used", "left out", "refused"]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,27 +67,17 @@ class StackPair:
         return math.hypot(*self.offset_px or (0.0, 0.0))
 
 
-def validated(kind: type[T], value: object, place: Path) -> T:
-    """Return a part of the report of a pair as a `kind`; raises `OutputError` if it is damaged."""
-    try:
-        return TypeAdapter(kind).validate_python(value)
-    except ValidationError as error:
-        message = f"{place} has a damaged report ({joined(error)}): remove the folder, and run again"
-        raise OutputError(message) from error
-
-
 def grade_pair(
     pair: StackPair,
     edge: Edge,
     points: PointFile,
-    report: Mapping[str, Any],
+    report: ReadFigures,
     doubts: Sequence[Reason] = (),
     parameters: GradeParameters = GRADING,
 ) -> StackPair:
     """Return a pair with the grade that its points, its report and other `doubts` give it."""
     residual_px = _smooth_residuals(edge.first_xy, edge.second_xy, np.ones(len(edge), bool))
-    off_px, counts = float(np.percentile(np.hypot(*residual_px.T), 90)), report.get("tie_points", {})
-    jitter_px = float(report.get("jitter_px", 0.0))
+    off_px, counts = float(np.percentile(np.hypot(*residual_px.T), 90)), report.tie_points
     agreeing = 1 - counts.get("rejected", 0) / max(counts.get("total", 0), 1)
     reasons = [*doubts]
     if pair.motions:
@@ -103,18 +90,13 @@ def grade_pair(
         reasons.append(Reason("poor", text))
     rejected_px = _smooth_residuals(points.reference, points.target, points.enabled)[~points.enabled]
     reasons += displaced_otherwise(rejected_px, len(points.enabled))
-    values = report.get("proof")
-    values = {**values, "map": ()} if isinstance(values, dict) else values
-    proof = validated(Proof, values, pair.folder) if values else None
-    share = report.get("coverage", {}).get("empty_share")
-    empty_share = None if share is None else float(share)
     return replace(
         pair,
         quality=grade_of(reasons),
         quality_reasons=tuple(reason.text for reason in reasons),
-        jitter_px=jitter_px,
-        empty_share=empty_share,
-        proof=proof,
+        jitter_px=report.jitter_px,
+        empty_share=report.coverage.empty_share,
+        proof=report.proof and replace(report.proof, map=()),
     )
 
 

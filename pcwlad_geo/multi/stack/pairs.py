@@ -19,15 +19,15 @@ from pcwlad_geo.job import match_elsewhere, match_files, write_match
 from pcwlad_geo.multi.stack.edges import Edge
 from pcwlad_geo.multi.stack.equations import ends_of
 from pcwlad_geo.multi.stack.frame import StackFrame
-from pcwlad_geo.multi.stack.pair import PairStatus, StackPair, grade_pair, validated
+from pcwlad_geo.multi.stack.pair import PairStatus, StackPair, grade_pair
 from pcwlad_geo.multi.stack.parameters import PAIR, PairParameters
 from pcwlad_geo.options import SETTINGS, Settings
 from pcwlad_geo.products.finding import of_one_product
 from pcwlad_geo.raster import RpcGrid, middle_pixel_size_m
-from pcwlad_geo.registration import Motion, Reason, estimate_tile_count
+from pcwlad_geo.registration import Reason, estimate_tile_count
 from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
 from pcwlad_geo.registration.positions import position_conflict
-from pcwlad_geo.report.finished import REPORT_FILE, read_report, report_of_same_job
+from pcwlad_geo.report.finished import REPORT_FILE, ReadFigures, read_figures, report_of_same_job
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.tiepoints.readers import read_point_file
@@ -104,35 +104,35 @@ def measured_pair(
 ) -> MeasuredPair:
     """Return the result of a matched pair, from its folder unless there is a `reason` for its refusal."""
     names = frame.names[pair[0]], frame.names[pair[1]]
-    edge, points, report = None, None, {}
+    edge, points, report = None, None, ReadFigures()
     if reason is None:
-        report = read_report(place)  # also its warnings, so that a resumed run repeats them
-        if not report and (place / REPORT_FILE).exists():
+        figures = read_figures(place)  # also its warnings, so that a resumed run repeats them
+        if figures is None and (place / REPORT_FILE).exists():
             raise OutputError(
                 f"{place} has a damaged report (report.json is none of this program): "
                 "remove the folder, and run again"
             )
-        for warning in report.get("warnings", ()):
+        report = figures or report
+        for warning in report.warnings:
             on_event(Warned(f"{names[0]} – {names[1]}: {warning}"))
-        reason = str(report.get("reason")) if report.get("status") == "rejected" else None
+        reason = str(report.reason) if report.status == "rejected" else None
         points = read_point_file(place / "tiepoints.csv") if reason is None else None
         edge = None if points is None else edge_of(frame, *pair, points, place, parameters)
     if edge is None:
         reason = reason or f"fewer than {parameters.min_points} tie points"
         on_event(Warned(f"{names[0]} – {names[1]}: refused: {reason}"))
     status: PairStatus = "refused" if edge is None else "used"
-    motions = validated(tuple[Motion, ...], report.get("motions", ()), place)
-    result = StackPair(*names, status, reason, place, motions=motions)
+    result = StackPair(*names, status, reason, place, motions=report.motions)
     if edge is None or points is None:
         return MeasuredPair(result)
     infos = frame.infos[pair[0]], frame.infos[pair[1]]
     conflict = None if frame.georeferenced else position_conflict(*infos, edge.first_xy, edge.second_xy)
-    texts = [text for text in report.get("warnings", ()) if text.startswith(SAME_PIXELS)]
+    texts = [text for text in report.warnings if text.startswith(SAME_PIXELS)]
     texts += [] if conflict is None else [conflict.text]
     result = grade_pair(result, edge, points, report, [Reason("poor", text) for text in texts])
     if not any(isinstance(info.grid, RpcGrid) for info in infos):
         return MeasuredPair(result, edge)
-    return MeasuredPair(result, edge, points, float(report["window_px"]))
+    return MeasuredPair(result, edge, points, float(report.window_px or 0))
 
 
 class _PairTask(NamedTuple):
