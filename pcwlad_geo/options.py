@@ -217,7 +217,7 @@ class Settings:
         most=LIMITS.basemap_zoom,
     )
     dem: Path | str | None = option(
-        None, "Heights of the ground, for images with RPCs.", _PLACING, metavar="FILE"
+        None, "Heights of the ground, for images with RPCs and Sentinel-1 GRD.", _PLACING, metavar="FILE"
     )
     dem_vertical: float | Path | str | None = option(
         None,

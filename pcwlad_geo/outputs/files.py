@@ -172,6 +172,10 @@ def _is_swath(registration: Registration) -> bool:
     return registration.target.grid.swath_uri is not None
 
 
+def _has_exact_rpc(registration: Registration) -> bool:
+    return registration.rpc is not None and registration.rpc.original.shifts is None
+
+
 def _lon_lat(job: Writing, path: Path) -> None:
     write_lon_lat(path, correction_of(job.registration), job.registration.target.grid)
 
@@ -195,7 +199,7 @@ _FETCHED: Final = Condition(
 _TILES: Final = Condition(
     "tiles as reference", lambda job: job.fetched is not None and job.fetched.uri.endswith(".vrt")
 )
-_RPC: Final = Condition("a target with RPCs", lambda job: job.rpc is not None, corrected=True)
+_RPC: Final = Condition("a target with RPCs", _has_exact_rpc, corrected=True)
 _SIGMA: Final = Condition("with `--write-sigma`", lambda job: job.settings.write_sigma, corrected=True)
 _FIELD: Final = Condition(
     "with `--write-displacement`", lambda job: job.settings.write_displacement, corrected=True

@@ -28,6 +28,7 @@ from pcwlad_geo.raster.georeferencing import check_place, grid_of_file, plane_tr
 from pcwlad_geo.raster.grid import Grid, Window
 from pcwlad_geo.raster.masks import MaskKind, kind_of
 from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.rpc.annotation import relief_m
 from pcwlad_geo.raster.stored_pixels import check_dataset
 from pcwlad_geo.types import Bool, PathLike
 
@@ -104,6 +105,11 @@ class RasterInfo:
     def on_map(self) -> bool:
         """Whether other programs show the raster in map coordinates, by a geotransform."""
         return self.georeferenced and type(self.grid) is Grid
+
+    @property
+    def relief_m(self) -> float | None:
+        """By how much the ground of a radar image varies in height, by its annotation; None without one."""
+        return relief_m(self.uri)
 
     def as_in_file(self) -> RasterInfo:
         """Return the raster as its file places it, or not, where the user has placed it."""

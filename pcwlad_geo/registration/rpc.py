@@ -27,6 +27,7 @@ from pcwlad_geo.raster import (
     read_rpc,
 )
 from pcwlad_geo.raster.crs import utm_zone_of
+from pcwlad_geo.raster.file_tree import plain_uri
 from pcwlad_geo.raster.rpc.bias import (
     BIAS_TOLERANCE_PX,
     apply_bias,
@@ -49,6 +50,8 @@ if TYPE_CHECKING:  # slow to load; workers are started before
 class RpcParameters:
     """Numbers by which RPCs and their corrections are checked."""
 
+    least_relief_m: float = 50.0
+    """Least difference of heights of which a radar image without DEM is said to be displaced."""
     most_bias_m: float = 500.0
     """Largest error of an RPC on the ground; no sensor errs by more, so beyond it the RPC is of another
     image."""
@@ -92,11 +95,12 @@ def place_reference(
 ) -> tuple[RpcPlacement | None, tuple[str, ...]]:
     """Place `reference` by its RPC if that is used with `target` and `settings`; also return warnings.
 
-    It is used if the user gives a DEM or asks for it, the reference has no other georeferencing, and the
-    target can be placed too. Map coordinates of its ground are in the CRS of a georeferenced target, else of
-    a DEM in metres, else in the UTM zone. Raises `InputError` if the RPC or the DEM cannot be used.
+    It is used if the user gives a DEM or asks for it, the reference has no other georeferencing than the
+    control points of Sentinel-1, and the target can be placed too. Map coordinates of its ground are in the
+    CRS of a georeferenced target, else of a DEM in metres, else in the UTM zone. Raises `InputError` if the
+    RPC or the DEM cannot be used.
     """
-    if reference.georeferenced:
+    if reference.georeferenced and (settings.dem is None or reference.relief_m is None):
         return None, ()
     if settings.dem is None and settings.model != "rpc":
         return None, _unused_rpc(
@@ -135,6 +139,8 @@ def place_target(
     """
     is_wanted = settings.dem is not None or settings.model == "rpc"
     if target.georeferenced and not is_wanted:
+        if target.relief_m is not None:
+            return None, tuple(filter(None, [relief_note(target)]))
         return None, _unused_rpc(
             f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",
             target.uri,
@@ -162,6 +168,17 @@ def place_target(
     check_model(settings.model)
     placement = _placed(target, source, settings.dem, settings.dem_vertical, trusted=settings.trust_rpc)
     return placement, placement.warnings
+
+
+def relief_note(info: RasterInfo, parameters: RpcParameters = RpcParameters()) -> str:
+    """Return what is said of a radar image of relief that is placed without DEM; empty of other rasters."""
+    by_heights_m = None if isinstance(info.grid, RpcGrid) else info.relief_m
+    if by_heights_m is None or by_heights_m < parameters.least_relief_m:
+        return ""
+    return (
+        f"the ground of the radar image {plain_uri(info.uri)} varies by {by_heights_m:.0f} m in height, "
+        "which displaces it by as much and more: give --dem"
+    )
 
 
 def check_model(model: str) -> None:

@@ -117,7 +117,7 @@ class Undulation:
         index = np.clip(index, 0, np.array(self.shape[::-1]) - 1.0)  # the lattice covers the scene
         finite = np.isfinite(index).all(axis=1)  # a position outside the DEM has no coordinates
         undulations = np.full(len(index), np.nan)
-        undulations[finite] = _bilinear(np.array(self.values_m).reshape(self.shape), index[finite])
+        undulations[finite] = bilinear(np.array(self.values_m).reshape(self.shape), index[finite])
         return undulations
 
     @property
@@ -207,7 +207,7 @@ class Dem:
             for half in (inside[in_first], inside[~in_first]):
                 heights[half] = self._own(dem_px[half])
             return heights
-        heights[inside] = _bilinear(self._read(window), index - first)
+        heights[inside] = bilinear(self._read(window), index - first)
         return heights
 
     def _read(self, window: Window) -> Float64:
@@ -236,8 +236,11 @@ class HeldDem(Dem):
         return self.values[window.slices_in(self.window)]
 
 
-def _bilinear(values: Float64, index_xy: Float64) -> Float64:
-    """Interpolate (rows, cols) values at (n, 2) indices inside; NaN if a neighbour with a weight is NaN."""
+def bilinear(values: Float64, index_xy: Float64) -> Float64:
+    """Interpolate the (rows, cols) `values` at (n, 2) indices `index_xy` inside, (n,) numbers.
+
+    They are NaN where a neighbour with a weight is.
+    """
     rows, cols = values.shape
     low = np.minimum(np.floor(index_xy).astype(np.intp), np.maximum([cols - 2, rows - 2], 0))
     (x, y), (col, row) = (index_xy - low).T, low.T

@@ -17,7 +17,9 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import LIMITS, check_rpc
 from pcwlad_geo.raster.grid import Grid
 from pcwlad_geo.raster.opening import open_raster
+from pcwlad_geo.raster.rpc.line_shifts import LineShifts
 from pcwlad_geo.raster.rpc.model import TERMS, RpcModel
+from pcwlad_geo.raster.rpc.range_doppler import radar_geometry
 from pcwlad_geo.text import read_text, whole
 
 RPC_FIELDS: Final = (
@@ -41,21 +43,24 @@ class RpcSource:
     origin: str
     """The file that holds it."""
     warnings: tuple[str, ...]
+    shifts: LineShifts | None = None
+    """How far the lines of the raster lie from it, if they do."""
 
 
 def read_rpc(uri: str) -> RpcSource | None:
     """Read the RPC of a raster; None where it has none.
 
     As in GDAL, a .RPB or _RPC.TXT file beside the raster takes precedence over the raster's own tag. Where
-    the two differ, one of them is outdated and a warning is given. Raises `InputError` if an RPC cannot be
-    read. The `uri` may be a path.
+    the two differ, one of them is outdated and a warning is given. That of an image of Sentinel-1 is made
+    from its annotation. Raises `InputError` if an RPC cannot be read. The `uri` may be a path.
     """
     with open_raster(uri) as dataset:
         used_rpc = _of_dataset(uri, dataset)
         shape = dataset.shape
     sidecars = {str(path): parse_rpc_text(path) for path in _sidecars(uri)}
     if used_rpc is None and not sidecars:
-        return None
+        radar = radar_geometry(uri, shape)
+        return RpcSource(radar[1], radar[0], (), radar[2]) if radar else None
     with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"), open_raster(uri) as dataset:
         inside = _of_dataset(uri, dataset)
     candidates = {**sidecars, **({f"the tag of {uri}": inside} if inside else {})}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,7 @@ from pcwlad_geo.raster.crs import WGS84, transform_xy
 from pcwlad_geo.raster.grid import Grid, Window, apply, apply_inverse, map_px
 from pcwlad_geo.raster.resampling import sample_positions
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
+from pcwlad_geo.raster.rpc.line_shifts import LineShifts
 from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.types import Float64
 
@@ -31,6 +32,8 @@ class RpcGrid(Grid):
     heights: ConstantHeight | Dem
     level_m: float
     """Approximate height of the ground, from which lines of sight start and at which pixels are measured."""
+    shifts: LineShifts | None = field(default=None, compare=False, kw_only=True)
+    """How far the lines of the file lie from the RPC, if they do."""
 
     @staticmethod
     def of_file(
@@ -40,6 +43,7 @@ class RpcGrid(Grid):
         *,
         level_m: float | None = None,
         crs: CRS = WGS84,
+        shifts: LineShifts | None = None,
     ) -> RpcGrid:
         """Return the grid of a file's own pixels.
 
@@ -48,7 +52,7 @@ class RpcGrid(Grid):
         """
         if level_m is None:
             level_m = heights.height_m if isinstance(heights, ConstantHeight) else rpc.height_off
-        return RpcGrid(shape, Affine.identity(), crs, rpc, heights, level_m)
+        return RpcGrid(shape, Affine.identity(), crs, rpc, heights, level_m, shifts=shifts)
 
     @property
     def turn(self) -> float:
@@ -66,7 +70,7 @@ class RpcGrid(Grid):
     def to_px(self, xy: Float64) -> Float64:
         """Map (n, 2) map coordinates `xy` to the (n, 2) pixels (col, row) there; NaN without height."""
         lon_lat = transform_xy(np.asarray(xy, dtype=np.float64), self.crs, WGS84)
-        return self.file_to_own_px(self.rpc.to_px(np.column_stack([lon_lat, self.heights.at(lon_lat)])))
+        return self.rpc_to_own_px(self.rpc.to_px(np.column_stack([lon_lat, self.heights.at(lon_lat)])))
 
     def line_of_sight(self, pixel_xy_px: Float64) -> tuple[Float64, Float64]:
         """Intersect lines of sight of the (n, 2) `pixel_xy_px` (col, row) with the ground, from `level_m` on.
@@ -76,6 +80,7 @@ class RpcGrid(Grid):
         the DEM.
         """
         file_px = apply(self.transform, pixel_xy_px)
+        file_px = self.shifts.to_rpc(file_px) if self.shifts else file_px
         height = np.full(len(file_px), self.level_m)
         lon_lat = self.rpc.to_ground(file_px, height)
         for _ in range(40):
@@ -87,9 +92,9 @@ class RpcGrid(Grid):
                 break
         return lon_lat, np.where(np.isnan(heights), np.nan, height)
 
-    def file_to_own_px(self, file_px: Float64) -> Float64:
-        """Map (n, 2) pixels `file_px` (col, row) of the file to (n, 2) pixels of this grid."""
-        return apply_inverse(self.transform, file_px)
+    def rpc_to_own_px(self, rpc_px: Float64) -> Float64:
+        """Map (n, 2) pixels `rpc_px` (col, row) that the RPC gives to (n, 2) pixels of this grid."""
+        return apply_inverse(self.transform, self.shifts.to_file(rpc_px) if self.shifts else rpc_px)
 
 
 def at_mean_height(grid: Grid) -> Grid:
@@ -119,7 +124,7 @@ def image_px(grid: Grid, frame: Grid, ground_px: Float64, height_m: Float64 | No
     if height_m is None or not isinstance(grid, RpcGrid):
         return at_px
     lon_lat = transform_xy(frame.to_xy(ground_px), frame.crs, WGS84)
-    from_heights = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
+    from_heights = grid.rpc_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height_m])))
     return np.where(np.isfinite(height_m)[:, None], from_heights, at_px)
 
 
@@ -169,5 +174,5 @@ def _positions(grid: RpcGrid, view_grid: Grid, window: Window, per_px: int) -> F
     height = (
         heights.at_px(sampled(heights.grid), lon_lat) if isinstance(heights, Dem) else heights.at(lon_lat)
     )
-    own_px = grid.file_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height])))
+    own_px = grid.rpc_to_own_px(grid.rpc.to_px(np.column_stack([lon_lat, height])))
     return np.ascontiguousarray(own_px[:, ::-1].T).reshape(2, window.rows * per_px, window.cols * per_px)

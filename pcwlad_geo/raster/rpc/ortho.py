@@ -27,9 +27,11 @@ from pcwlad_geo.raster.grid import Grid, Window, jacobian, linear_part, map_px
 from pcwlad_geo.raster.opening import open_written_raster
 from pcwlad_geo.raster.output_format import OutputFormat
 from pcwlad_geo.raster.output_grid import OUTPUT_GRIDS, GridRequest, lay_out, output_lattice, snapped_size
+from pcwlad_geo.raster.pixels import valid_in_file
+from pcwlad_geo.raster.resampling import cell_means, spline_samples
 from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem
 from pcwlad_geo.raster.rpc.files import to_gdal
-from pcwlad_geo.raster.rpc.grid import OUTLINE_NODES, RpcGrid, at_mean_height, footprint_px
+from pcwlad_geo.raster.rpc.grid import OUTLINE_NODES, RpcGrid, at_mean_height, footprint_px, positions_on
 from pcwlad_geo.raster.vrt import has_alpha
 from pcwlad_geo.raster.warped_views import READING, Block, filled
 from pcwlad_geo.raster.warping import COG, BlockRequest, Blocks, ProgressCallback, kernel, write_warped
@@ -97,13 +99,16 @@ def orthorectify(
 ) -> str | None:
     """Resample all bands of a raster once, by its RPC and the heights of the ground, and write it.
 
-    GDAL evaluates RPC and height at every pixel. Pixels without height are empty. `target` is the raster's
+    GDAL evaluates RPC and height at every pixel; those of a raster whose lines lie beside its RPC are sampled
+    by cubic spline, or by nearest neighbour. Pixels without height are empty. `target` is the raster's
     grid, with the corrected RPC. Everything else is as for `warping.warp`, but that the format is no VRT.
     Return a warning where parts of the raster could not be read. Raises `InputError` if the DEM, the raster,
     or half of it, cannot be read, and `OutputError` if the result cannot be written.
     """
 
     def blocks_of(source: DatasetReader, method: Resampling, request: BlockRequest) -> Blocks:
+        if target.shifts is not None:
+            return _sampled(source, target, grid, method, request)
         if request.nodata is None or not request.as_alpha:
             return _blocks(source, target, grid, method, request)
         # With an RPC and an alpha band made of nodata, GDAL's warper loses most of the pixels.
@@ -145,6 +150,47 @@ def _blocks(
 
         for window in request.windows:
             yield window, request.unreadable.read(warped, window, nothing)
+
+
+def _sampled(
+    source: DatasetReader, target: RpcGrid, grid: Grid, method: Resampling, request: BlockRequest
+) -> Blocks:
+    """Sample blocks at positions of their own, which GDAL's warper does not take."""
+    dtype = np.dtype(np.result_type(*source.dtypes))
+    step = jacobian(grid.middle_px, grid, at_mean_height(target))[0]
+    per_px = 1 if method == Resampling.nearest else max(1, round(float(np.linalg.norm(step, axis=1).max())))
+    nothing = filled([request.nodata or 0.0] * (source.count + request.as_alpha), dtype)
+
+    def sampled(window: FileWindow) -> Block:
+        block = nothing(window)
+        part = Window(window.row_off, window.col_off, window.height, window.width)
+        at_rc = positions_on(target, grid, part, per_px)
+        if method == Resampling.nearest:
+            at_rc = np.floor(at_rc) + 0.5
+        known = at_rc[:, np.isfinite(at_rc).all(axis=0)]
+        if known.size == 0:
+            return block
+        needed = Window.around(*(end(known, axis=1)[::-1] for end in (np.min, np.max))).padded(8)
+        needed = needed.clipped(source.shape)
+        if needed.empty:
+            return block
+        place = FileWindow(needed.col, needed.row, needed.cols, needed.rows)
+        away_rc = at_rc - np.array([needed.row, needed.col])[:, None, None]
+        for band in range(source.count):
+            values = source.read(band + 1, window=place)
+            valid = valid_in_file(source, band + 1, values, place).astype(np.float64)
+            samples, shares = spline_samples(values.astype(np.float64), valid, away_rc)
+            mean = cell_means(samples, per_px)
+            shown = cell_means(shares, per_px) >= 0.5
+            if dtype.kind in "iu":
+                mean = np.clip(np.rint(mean), np.iinfo(dtype).min, np.iinfo(dtype).max)
+            block[band] = np.where(shown, mean, block[band])
+            if request.as_alpha:
+                block[source.count] = np.maximum(block[source.count], 255 * shown)
+        return block
+
+    for window in request.windows:
+        yield window, request.unreadable.read(sampled, window, nothing)
 
 
 def _with_alpha(blocks: Blocks, nodata: float) -> Blocks:

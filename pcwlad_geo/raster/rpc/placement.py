@@ -14,7 +14,6 @@ from pcwlad_geo.raster.rpc.dem import ConstantHeight, Dem, Vertical, in_words, o
 from pcwlad_geo.raster.rpc.domain import check_domain
 from pcwlad_geo.raster.rpc.files import RpcSource
 from pcwlad_geo.raster.rpc.grid import RpcGrid
-from pcwlad_geo.raster.rpc.model import RpcModel
 from pcwlad_geo.raster.source import RasterInfo
 from pcwlad_geo.types import Float64
 
@@ -77,14 +76,14 @@ def place_by_rpc(
     check_domain(source, info.uri, shape, trusted=trusted)
     if dem is None:
         ground = ConstantHeight(rpc.height_off if height_m is None else height_m)
-        grid = RpcGrid.of_file(shape, rpc, ground)
+        grid = RpcGrid.of_file(shape, rpc, ground, shifts=source.shifts)
         span = (rpc.height_off - rpc.height_scale, rpc.height_off + rpc.height_scale)
         warnings: tuple[str, ...] = (_relief_warning(grid, side),)
     else:
         heights = open_dem(dem, vertical, _scene_bounds(source, info))
-        grid, span, warnings = _heights_around(info, rpc, heights)
+        grid, span, warnings = _heights_around(info, source, heights)
         check_domain(source, info.uri, shape, span, trusted=trusted)
-    on_ground = replace(info, grid=grid, georeferenced=True)
+    on_ground = replace(info, grid=grid, georeferenced=True, gcp_misfit_px=None)
     return RpcPlacement(on_ground, source, span, (*source.warnings, *warnings))
 
 
@@ -106,18 +105,18 @@ def _scene_bounds(source: RpcSource, info: RasterInfo) -> tuple[float, float, fl
 
 
 def _heights_around(
-    info: RasterInfo, rpc: RpcModel, dem: Dem
+    info: RasterInfo, source: RpcSource, dem: Dem
 ) -> tuple[RpcGrid, tuple[float, float], tuple[str, ...]]:
     """Return the grid of an image with a DEM, the lowest and highest ground, and warnings on its coverage.
 
     Raises `InputError` if the DEM does not overlap the image, or has holes below it.
     """
-    pixels = info.grid.lattice_px(PLACEMENT.lattice)
+    rpc, pixels = source.rpc, info.grid.lattice_px(PLACEMENT.lattice)
     # nearest: ground far from the height offset would be sought beside the DEM
     first_heights = dem.nearest(rpc.to_ground(pixels, rpc.height_off))
     _check_heights(info, dem, first_heights)
     level_m = float(np.nanmedian(first_heights)) if np.isfinite(first_heights).any() else rpc.height_off
-    grid = RpcGrid.of_file(info.grid.shape, rpc, dem, level_m=level_m)
+    grid = RpcGrid.of_file(info.grid.shape, rpc, dem, level_m=level_m, shifts=source.shifts)
     lon_lat, _ = grid.line_of_sight(pixels)
     dem_px = dem.to_px(lon_lat)
     rows, cols = dem.grid.shape

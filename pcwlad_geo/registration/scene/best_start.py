@@ -7,6 +7,7 @@ from dataclasses import replace
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import ViewPair
 from pcwlad_geo.registration.advice import refusal
+from pcwlad_geo.registration.rpc import relief_note
 from pcwlad_geo.registration.scene.ground import compare_with_rivals, reach_all_ground, select_ground_motion
 from pcwlad_geo.registration.scene.matching import SceneMatches, match_scene
 from pcwlad_geo.registration.scene.parameters import SceneContext
@@ -51,6 +52,8 @@ def match_from_best_start(
     few_values = with_few_values(pair, overviews)
     reason = refusal(scene.decision, prealignment, georeferenced=pair.georeferenced, few_values=few_values)
     reason += note_of_sizes(pair) if searched else ""
+    note = relief_note(pair.target.info)
+    reason += f"; {note}" if note else ""
     return replace(scene, prealignment=prealignment, decision=scene.decision.refused(reason)), start.pair
 
 
