@@ -18,7 +18,7 @@ import processing
 from qgis.core import QgsApplication, QgsPointXY, QgsProject, QgsRectangle
 from qgis.PyQt.QtCore import QPoint, Qt
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QProgressBar, QScrollArea, QWidget
+from qgis.PyQt.QtWidgets import QLineEdit, QProgressBar, QScrollArea, QWidget
 from qgis.utils import iface, plugins
 from steps import FOLDER, JOB, add, begin, editable, ended, go, grab, seen
 
@@ -67,6 +67,15 @@ def first_look(plugin: Any) -> Iterator[int]:
     seen["width"] = [dock.width(), dock.align_page.horizontalScrollBar().isVisible()]
     seen["fits"] = dock.align_page.viewport().width() - dock.align_contents.minimumSizeHint().width()
     seen["focus"] = dock.start_button.hasFocus() or not iface.mainWindow().isActiveWindow()
+    seen["selected"] = [each.text() for each in dock.findChildren(QLineEdit) if each.hasSelectedText()]
+    texts = [dock.tabs.tabText(page) for page in range(dock.tabs.count())]
+    for page, text in enumerate(texts):
+        dock.tabs.setTabText(page, 2 * text)  # as in another language
+    bar = dock.tabs.tabBar()
+    seen["tabs in sight"] = [bar.rect().contains(bar.tabRect(page)) for page in range(dock.tabs.count())]
+    for page, text in enumerate(texts):
+        dock.tabs.setTabText(page, text)
+    seen["without points"] = dock.no_points_label.isVisibleTo(dock.points_page)
     seen["toolbar"] = [bar.objectName() for bar in plugin.action.associatedWidgets() if bar.isVisible()]
     grab(iface.mainWindow(), "no_engine_1024")
     os.environ.update(PCWLAD_GEO_PYTHON=engine, PATH=path)
@@ -307,6 +316,7 @@ def opened(dock: Any) -> Iterator[int]:
     count, groups = len(PROJECT.mapLayers()), len(PROJECT.layerTreeRoot().findGroups())
     dock.open_earlier(str(dock._folder))
     yield 500
+    seen["with points"] = dock.no_points_label.isVisibleTo(dock.points_page)
     seen["opened"] = [len(PROJECT.mapLayers()) - count, len(PROJECT.layerTreeRoot().findGroups()) - groups]
     rules = dock.layers["displacements"].renderer().rootRule().children()
     seen["legends"] = [dock.layers["tie_points"].renderer().type(), [each.label() for each in rules]]
@@ -343,6 +353,7 @@ def closing(dock: Any) -> Iterator[int]:
     seen["saved"] = "Tie points being edited" in place.read_text(encoding="utf-8")
     PROJECT.clear()
     yield 500
+    seen["without points again"] = dock.no_points_label.isVisibleTo(dock.points_page)
     seen["new project"] = [dock.verdict.text(), dock.editor is None, shown(dock), dock.layers == {}]
 
 

@@ -97,6 +97,12 @@ def test_the_dock_is_as_wide_as_its_forms_and_no_wider_than_a_small_screen(seen:
     assert seen["toolbar"] != []
 
 
+def test_all_pages_are_in_sight_and_empty_ones_say_what_to_do(seen: dict[str, Any]) -> None:
+    assert seen["tabs in sight"] == [True] * 4
+    assert seen["selected"] == []
+    assert [seen["without points"], seen["with points"], seen["without points again"]] == [True, False, True]
+
+
 def test_one_run_at_a_time_whatever_is_pressed(seen: dict[str, Any]) -> None:
     assert seen["idle"]["run_box"] is False
     assert seen["more"] == []  # neither the pair itself, nor left for the next run

@@ -287,6 +287,16 @@ def test_every_text_is_in_the_translation_with_its_placeholders() -> None:
             assert placeholders(translation) == placeholders(text), text
 
 
+def test_titles_fit_into_the_dialogs_in_german_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = plugin_module("help", monkeypatch)
+    titles = [title for name, title in texts.TITLES.items() if "out." not in name]
+    titles += texts.LABELS.values()
+    translated = runpy.run_path(str(FOLDER / "translations.py"))["translated"]
+    german = translated(PLUGIN / "i18n" / "pcwlad_geo_de.ts")
+    widest = max(map(len, titles))
+    assert [german[title] for title in titles if len(german[title]) > widest] == []
+
+
 def placeholders(text: str) -> list[tuple[str | None, str | None]]:
     """Return the fields of a format string, in order, but for text that is not one."""
     try:

@@ -153,7 +153,7 @@ pip lädt sie aus dem Paketverzeichnis, das auf diesem Rechner eingestellt ist, 
       <source>Registers many rasters (the targets) to one reference, one after another. A pair that is refused or cannot be used does not stop the rest.
 &lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Folder&lt;/b&gt;: a folder for each target, with its registered raster, tie points and report, and &lt;i&gt;summary.csv&lt;/i&gt;, a line a pair: status, accuracy, and the reason of a refusal. Run again with the same folder, pairs that are done are not done twice.</source>
       <translation>Registriert viele Raster (die Ziele) auf eine Referenz, eines nach dem anderen. Ein Paar, das abgelehnt wird oder nicht brauchbar ist, hält die übrigen nicht auf.
-&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: ein Ordner für jedes Ziel, mit seinem registrierten Raster, Passpunkten und Bericht, und &lt;i&gt;summary.csv&lt;/i&gt;, eine Zeile je Paar: Status, Genauigkeit und der Grund einer Ablehnung. Mit demselben Ordner erneut ausgeführt, werden fertige Paare nicht noch einmal gerechnet.</translation>
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: ein Ordner für jedes Ziel, mit seinem registrierten Raster, Verknüpfungspunkten und Bericht, und &lt;i&gt;summary.csv&lt;/i&gt;, eine Zeile je Paar: Status, Genauigkeit und der Grund einer Ablehnung. Mit demselben Ordner erneut ausgeführt, werden fertige Paare nicht noch einmal gerechnet.</translation>
     </message>
     <message>
       <source>{} of {} targets registered.</source>
@@ -176,8 +176,8 @@ pip lädt sie aus dem Paketverzeichnis, das auf diesem Rechner eingestellt ist, 
 &lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Tie points&lt;/b&gt;: a layer with an arrow for the displacement of each point, exaggerated as its legend says. The arrow points from where the target's georeferencing places the ground to where the target shows it.
 &lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer.
 &lt;b&gt;Points for the Georeferencer&lt;/b&gt;: loads by itself if it lies beside the target as &lt;i&gt;target.tif.points&lt;/i&gt;.</source>
-      <translation>Findet Passpunkte zwischen zwei Rastern desselben Geländes und misst, wie weit das Ziel verschoben ist. Nichts wird angepasst oder entzerrt.
-&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Passpunkte&lt;/b&gt;: ein Layer mit einem Pfeil für die Verschiebung jedes Punktes, überhöht, wie die Legende sagt. Der Pfeil zeigt von dort, wohin die Georeferenzierung des Ziels das Gelände legt, dorthin, wo das Ziel es zeigt.
+      <translation>Findet Verknüpfungspunkte zwischen zwei Rastern desselben Geländes und misst, wie weit das Ziel verschoben ist. Nichts wird angepasst oder entzerrt.
+&lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Verknüpfungspunkte&lt;/b&gt;: ein Layer mit einem Pfeil für die Verschiebung jedes Punktes, überhöht, wie die Legende sagt. Der Pfeil zeigt von dort, wohin die Georeferenzierung des Ziels das Gelände legt, dorthin, wo das Ziel es zeigt.
 &lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.
 &lt;b&gt;Punkte für die Georeferenzierung&lt;/b&gt;: werden von selbst geladen, wenn sie neben dem Ziel als &lt;i&gt;target.tif.points&lt;/i&gt; liegen.</translation>
     </message>
@@ -231,7 +231,7 @@ dx und dy sind in den Einheiten des KBS des ersten Layers; gedreht wird um seine
     </message>
     <message>
       <source>The tie points cannot be written: {}</source>
-      <translation>Die Passpunkte können nicht geschrieben werden: {}</translation>
+      <translation>Die Verknüpfungspunkte können nicht geschrieben werden: {}</translation>
     </message>
     <message>
       <source>Extent: the layer has no place on the map. Leave the extent out.</source>
@@ -243,7 +243,7 @@ dx und dy sind in den Einheiten des KBS des ersten Layers; gedreht wird um seine
     </message>
     <message>
       <source>There are too few tie points for arrows along the axes of the map.</source>
-      <translation>Es sind zu wenige Passpunkte für Pfeile entlang der Achsen der Karte.</translation>
+      <translation>Es sind zu wenige Verknüpfungspunkte für Pfeile entlang der Achsen der Karte.</translation>
     </message>
     <message>
       <source>Register raster</source>
@@ -259,13 +259,13 @@ dx und dy sind in den Einheiten des KBS des ersten Layers; gedreht wird um seine
 RMSE and CE90 are those of check points, which the correction has not seen, in target pixels. The quality (good, fair or poor) is that of all the ground that both show.
 &lt;h3&gt;If the pair is refused&lt;/h3&gt;A pair is refused if its points agree no better than those of unrelated images would, or if they agree but the correction does not hold: there is no raster then, and the message says why and what to try. A displacement of more than 12 pixels needs a larger search radius.
 &lt;h3&gt;Requirements&lt;/h3&gt;Limits on the figures, such as &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Where one is not met, the algorithm fails and there is no raster, unless it is to be kept.</source>
-      <translation>Registriert ein Raster (das Ziel) auf Bruchteile eines Pixels auf ein anderes desselben Bodens (die Referenz). Die beiden dürfen aus verschiedenen Kanälen, von verschiedenen Sensoren oder Tagen stammen und sich in Pixelgröße, Ausdehnung und KBS unterscheiden.
+      <translation>Registriert ein Raster (das Ziel) auf Bruchteile eines Pixels auf ein anderes desselben Geländes (die Referenz). Die beiden dürfen aus verschiedenen Kanälen, von verschiedenen Sensoren oder Tagen stammen und sich in Pixelgröße, Ausdehnung und KBS unterscheiden.
 &lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Registriertes Raster&lt;/b&gt;: das Ziel, einmal auf die Pixelausrichtung der Referenz umgerechnet.
-&lt;b&gt;Verknüpfungspunkte&lt;/b&gt;: ein Layer mit einem Pfeil für den Restfehler jedes Punktes, überhöht, wie die Legende sagt. Der Pfeil zeigt von dort, wo die Korrektur den Boden erwartet, dorthin, wo das Ziel ihn zeigt.
+&lt;b&gt;Verknüpfungspunkte&lt;/b&gt;: ein Layer mit einem Pfeil für den Restfehler jedes Punktes, überhöht, wie die Legende sagt. Der Pfeil zeigt von dort, wo die Korrektur das Gelände erwartet, dorthin, wo das Ziel es zeigt.
 &lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige; sagt, wie gut es passt, wo nicht, und was zu tun ist.
 &lt;b&gt;Punkte für die Georeferenzierung&lt;/b&gt;: werden von selbst geladen, wenn sie als &lt;i&gt;target.tif.points&lt;/i&gt; neben dem Ziel liegen.
 &lt;b&gt;Ordner aller Ergebnisse&lt;/b&gt;: wird für „Registrierung anwenden“ gebraucht.
-RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat, in Zielpixeln. Die Qualität (good: gut, fair: mäßig, poor: schlecht) ist die des ganzen Bodens, den beide zeigen.
+RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat, in Zielpixeln. Die Qualität (good: gut, fair: mäßig, poor: schlecht) ist die des ganzen Geländes, das beide zeigen.
 &lt;h3&gt;Wenn das Paar abgelehnt wird&lt;/h3&gt;Ein Paar wird abgelehnt, wenn seine Punkte nicht besser übereinstimmen als die von Bildern, die nichts miteinander zu tun haben, oder wenn sie übereinstimmen, aber die Korrektur nicht trägt: dann gibt es kein Raster, und die Meldung sagt, warum und was zu versuchen ist. Eine Verschiebung um mehr als 12 Pixel braucht einen größeren Suchradius.
 &lt;h3&gt;Anforderungen&lt;/h3&gt;Grenzen für die Kennzahlen, etwa &lt;i&gt;CE90&amp;lt;=0.5px; points&amp;gt;=100&lt;/i&gt;. Wird eine nicht erfüllt, scheitert der Algorithmus, und es gibt kein Raster, es sei denn, es soll behalten werden.</translation>
     </message>
@@ -281,12 +281,12 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Align the bands of a drone camera</source>
-      <translation>Bänder einer Drohnenkamera ausrichten</translation>
+      <translation>Kanäle einer Drohnenkamera ausrichten</translation>
     </message>
     <message>
       <source>Brings the lenses of a multispectral or thermal camera onto each other: one raster with all bands for each capture. Give a folder of raw frames; the rig is learned from them, or read from RIG.json.
 &lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Folder&lt;/b&gt;: the rasters, RIG.json, and a table that names bad captures and why.</source>
-      <translation>Bringt die Objektive einer Multispektral- oder Wärmebildkamera aufeinander: je Aufnahme ein Raster mit allen Bändern. Geben Sie einen Ordner mit Rohbildern an; die Anordnung der Objektive wird daraus gelernt oder aus RIG.json gelesen.
+      <translation>Bringt die Objektive einer Multispektral- oder Wärmebildkamera aufeinander: je Aufnahme ein Raster mit allen Kanälen. Geben Sie einen Ordner mit Rohbildern an; die Anordnung der Objektive wird daraus gelernt oder aus RIG.json gelesen.
 &lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Ordner&lt;/b&gt;: die Raster, RIG.json und eine Tabelle, die schlechte Aufnahmen mit dem Grund nennt.</translation>
     </message>
     <message>
@@ -312,11 +312,11 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
 &lt;h3&gt;Results&lt;/h3&gt;&lt;b&gt;Report&lt;/b&gt;: opens in the Results Viewer.
 &lt;b&gt;Motion of the ground&lt;/b&gt;: a raster of the velocity (x, y, sigma; units of the CRS a year) and the number of the moving part, which is coloured.
 &lt;b&gt;Table&lt;/b&gt;: a line a raster, with what its series lets expect.</source>
-      <translation>Sagt, was die datierten Raster eines fertigen Stapels über die Zeit tun: Sprünge, Driften und Jahresgänge jedes Satelliten, Tage, die danebenliegen, und Boden, der sich für sich bewegt.
+      <translation>Sagt, was die datierten Raster eines fertigen Stapels über die Zeit tun: Sprünge, Driften und Jahresgänge jedes Satelliten, Tage, die danebenliegen, und Gelände, das sich für sich bewegt.
 &lt;b&gt;Stapel&lt;/b&gt;: der Ordner, den „Stapel ausgleichen“ geschrieben hat; eine Reihe braucht acht Tage.
 &lt;b&gt;Anforderungen&lt;/b&gt;: Grenzen, durch Semikolon getrennt, etwa &lt;i&gt;step&amp;lt;0.2px; latest&amp;lt;1px; motion&amp;lt;1px&lt;/i&gt;. Größen: step, drift, season, latest, offset, motion; Einheiten: px, m. Die Ausgabe PASSED sagt, ob alle eingehalten sind; alle Ergebnisse sind da, auch wo sie es nicht sind.
 &lt;h3&gt;Ergebnisse&lt;/h3&gt;&lt;b&gt;Bericht&lt;/b&gt;: öffnet sich in der Ergebnisanzeige.
-&lt;b&gt;Bewegung des Bodens&lt;/b&gt;: ein Raster der Geschwindigkeit (x, y, Sigma; Einheiten des KBS im Jahr) und der Nummer des bewegten Teils, der gefärbt ist.
+&lt;b&gt;Bewegung des Geländes&lt;/b&gt;: ein Raster der Geschwindigkeit (x, y, Sigma; Einheiten des KBS im Jahr) und der Nummer des bewegten Teils, der gefärbt ist.
 &lt;b&gt;Tabelle&lt;/b&gt;: eine Zeile je Raster, mit dem, was seine Reihe erwarten lässt.</translation>
     </message>
     <message>
@@ -349,7 +349,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Series: {series}; steps: {steps}; parts of the ground that move: {moving}</source>
-      <translation>Reihen: {series}; Sprünge: {steps}; Teile des Bodens, die sich bewegen: {moving}</translation>
+      <translation>Reihen: {series}; Sprünge: {steps}; Teile des Geländes, die sich bewegen: {moving}</translation>
     </message>
     <message>
       <source>{} of {} points are refined by matching. The others contradict {}: those are selected.</source>
@@ -453,11 +453,11 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Tie points are sought inside these polygons only.</source>
-      <translation>Passpunkte werden nur in diesen Polygonen gesucht.</translation>
+      <translation>Verknüpfungspunkte werden nur in diesen Polygonen gesucht.</translation>
     </message>
     <message>
       <source>No tie points are sought inside these polygons, such as clouds, water or forest.</source>
-      <translation>In diesen Polygonen werden keine Passpunkte gesucht, etwa Wolken, Wasser oder Wald.</translation>
+      <translation>In diesen Polygonen werden keine Verknüpfungspunkte gesucht, etwa Wolken, Wasser oder Wald.</translation>
     </message>
     <message>
       <source>Excludes pixels of the reference: those where this raster is 0. QA_PIXEL, SCL and MSK_CLASSI rasters are understood.</source>
@@ -669,7 +669,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>A raster of the velocity of the ground and the parts that move by themselves.</source>
-      <translation>Ein Raster der Geschwindigkeit des Bodens und der Teile, die sich für sich bewegen.</translation>
+      <translation>Ein Raster der Geschwindigkeit des Geländes und der Teile, die sich für sich bewegen.</translation>
     </message>
     <message>
       <source>The file pcwlad_geo-….whl. Not set: the package index has it.</source>
@@ -769,7 +769,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Tie points of a file</source>
-      <translation>Passpunkte einer Datei</translation>
+      <translation>Verknüpfungspunkte einer Datei</translation>
     </message>
     <message>
       <source>Geotransform of the target, put by hand</source>
@@ -853,7 +853,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Motion of the ground</source>
-      <translation>Bewegung des Bodens</translation>
+      <translation>Bewegung des Geländes</translation>
     </message>
     <message>
       <source>Effort</source>
@@ -905,7 +905,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>RIG.json of this camera (not set: learned)</source>
-      <translation>RIG.json dieser Kamera (ohne Angabe: wird gelernt)</translation>
+      <translation>RIG.json der Kamera (leer: wird gelernt)</translation>
     </message>
     <message>
       <source>Targets (move)</source>
@@ -949,7 +949,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Most pairs that are matched (not set: enough)</source>
-      <translation>Größte Zahl von Paaren, die zugeordnet werden (leer: genug)</translation>
+      <translation>Höchstzahl der Paare (leer: genug)</translation>
     </message>
     <message>
       <source>Wheel of pcwlad-geo (not set: the index)</source>
@@ -1045,7 +1045,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Parts of the ground that move</source>
-      <translation>Teile des Bodens, die sich bewegen</translation>
+      <translation>Teile des Geländes, die sich bewegen</translation>
     </message>
     <message>
       <source>Version of the engine</source>
@@ -1093,7 +1093,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Shift, rotation and scale (similarity, Helmert)</source>
-      <translation>Verschiebung, Drehung und Maßstab (Ähnlichkeit, Helmert)</translation>
+      <translation>Ähnlichkeit (Helmert: Drehung, Maßstab)</translation>
     </message>
     <message>
       <source>Affine (Polynomial 1)</source>
@@ -1173,7 +1173,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Full (more points, and what the pair tolerates)</source>
-      <translation>Vollständig (mehr Punkte, und was das Paar aushält)</translation>
+      <translation>Voll (mehr Punkte; was das Paar aushält)</translation>
     </message>
     <message>
       <source>The reference</source>
@@ -1373,7 +1373,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Residual (pixels)</source>
-      <translation>Residuum (Pixel)</translation>
+      <translation>Restfehler (Pixel)</translation>
     </message>
     <message>
       <source>Sigma (pixels)</source>
@@ -1401,7 +1401,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Quality: {}; 90 % of the common ground is expected to lie within {}</source>
-      <translation>Qualität: {}; 90 % des gemeinsamen Bodens liegen voraussichtlich innerhalb von {}</translation>
+      <translation>Qualität: {}; 90 % des gemeinsamen Geländes liegen voraussichtlich innerhalb von {}</translation>
     </message>
     <message>
       <source>Quality: {}; 90 % of the area is expected to lie within {}, of all that both rasters show {}</source>
@@ -1469,7 +1469,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Residuals, target pixels</source>
-      <translation>Residuen, Zielpixel</translation>
+      <translation>Restfehler, Zielpixel</translation>
     </message>
     <message>
       <source>The layer “{}” has the CRS {} in QGIS, but its file says {}. That of QGIS is used.</source>
@@ -1489,7 +1489,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Tie points being edited</source>
-      <translation>Passpunkte in Bearbeitung</translation>
+      <translation>Verknüpfungspunkte in Bearbeitung</translation>
     </message>
     <message>
       <source>Displacement</source>
@@ -1505,7 +1505,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>The tie points in {} cannot be read.</source>
-      <translation>Die Passpunkte in {} sind nicht lesbar.</translation>
+      <translation>Die Verknüpfungspunkte in {} sind nicht lesbar.</translation>
     </message>
     <message>
       <source>Align this layer…</source>
@@ -1557,7 +1557,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>{:.0f} tie points were found.</source>
-      <translation>{:.0f} Passpunkte wurden gefunden.</translation>
+      <translation>{:.0f} Verknüpfungspunkte wurden gefunden.</translation>
     </message>
     <message>
       <source>Model: {}</source>
@@ -1649,7 +1649,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>{} tie points agree, in {} of {} separate places, and so few say too little</source>
-      <translation>{} Passpunkte stimmen überein, an {} von {} getrennten Orten, und so wenige sagen zu wenig</translation>
+      <translation>{} Verknüpfungspunkte stimmen überein, an {} von {} getrennten Orten, und so wenige sagen zu wenig</translation>
     </message>
     <message>
       <source>at least {} are needed</source>
@@ -1661,7 +1661,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>use rasters that share more ground, masks that exclude less, or a smaller --window</source>
-      <translation>nehmen Sie Raster, die mehr Boden gemeinsam haben, Masken, die weniger ausschließen, oder ein kleineres --window</translation>
+      <translation>nehmen Sie Raster, die mehr Gelände gemeinsam haben, Masken, die weniger ausschließen, oder ein kleineres --window</translation>
     </message>
     <message>
       <source>no structure to match: the overlap is flat, masked or too small; check bands, masks and nodata</source>
@@ -1677,7 +1677,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>the common area is {} x {} px of the matching grid: too small to match (at least {} px a side); use rasters that share more ground</source>
-      <translation>die gemeinsame Fläche ist {} x {} px des Suchgitters groß: zu klein zum Vergleichen (mindestens {} px je Seite); nehmen Sie Raster, die mehr Boden gemeinsam haben</translation>
+      <translation>die gemeinsame Fläche ist {} x {} px des Suchgitters groß: zu klein zum Vergleichen (mindestens {} px je Seite); nehmen Sie Raster, die mehr Gelände gemeinsam haben</translation>
     </message>
     <message>
       <source>has no valid pixel (nodata, masks) where the two overlap: check its nodata value, its mask, or choose another band</source>
@@ -1689,7 +1689,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>the rasters do not overlap: in {}, {} covers {} and {} covers {}: give two rasters of the same ground, or correct their georeferencing</source>
-      <translation>die Raster überlappen sich nicht: in {} bedeckt {} {} und {} {}: wählen Sie zwei Raster desselben Bodens, oder berichtigen Sie ihre Georeferenzierung</translation>
+      <translation>die Raster überlappen sich nicht: in {} bedeckt {} {} und {} {}: wählen Sie zwei Raster desselben Geländes, oder berichtigen Sie ihre Georeferenzierung</translation>
     </message>
     <message>
       <source>bands of a product lie within metres of each other, and the matches agree on {}, probably clouds: mask them (--ref-mask, --tgt-mask), or give --prealign search if a band has been moved</source>
@@ -1697,7 +1697,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>and nothing tells which is that of the ground: give a mask (--ref-mask, --tgt-mask) with 0 on clouds and what else moves, or --prealign georef with a small --search-radius</source>
-      <translation>und nichts sagt, welche die des Bodens ist: geben Sie eine Maske (--ref-mask, --tgt-mask) mit 0 auf Wolken und was sich sonst bewegt, oder --prealign georef mit einem kleinen --search-radius</translation>
+      <translation>und nichts sagt, welche die des Geländes ist: geben Sie eine Maske (--ref-mask, --tgt-mask) mit 0 auf Wolken und was sich sonst bewegt, oder --prealign georef mit einem kleinen --search-radius</translation>
     </message>
     <message>
       <source>only {} % of the matches agree with their neighbours</source>
@@ -1705,7 +1705,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>{} % of the common ground lies beyond the tie points</source>
-      <translation>{} % des gemeinsamen Bodens liegen jenseits der Passpunkte</translation>
+      <translation>{} % des gemeinsamen Geländes liegen jenseits der Verknüpfungspunkte</translation>
     </message>
     <message>
       <source>and the correction does not hold</source>
@@ -1753,7 +1753,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>without it there is ground that has moved by about ({}, {}) px</source>
-      <translation>ohne dieses zeigt sich Boden, der um etwa ({}, {}) px verschoben ist</translation>
+      <translation>ohne dieses zeigt sich Gelände, das um etwa ({}, {}) px verschoben ist</translation>
     </message>
     <message>
       <source>mask it, correct the frames for it, or give their georeferencing</source>
@@ -1765,7 +1765,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>what agrees may belong to the camera (its fixed pattern, dust, burnt-in text), or the ground repeats</source>
-      <translation>was übereinstimmt, kann zur Kamera gehören (festes Muster, Staub, eingebrannter Text), oder der Boden wiederholt sich</translation>
+      <translation>was übereinstimmt, kann zur Kamera gehören (festes Muster, Staub, eingebrannter Text), oder das Gelände wiederholt sich</translation>
     </message>
     <message>
       <source>the {} points of {} describe no common displacement (they scatter by {} of their spread): check their columns, and whose they are</source>
@@ -1773,7 +1773,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>the search proposes ({}, {}) px (col, row), as it does by chance in one of {} pairs, and no tie points confirm it: check it by eye</source>
-      <translation>die Suche schlägt ({}, {}) px (Spalte, Zeile) vor, wie zufällig bei einem von {} Paaren, und keine Passpunkte bestätigen es: prüfen Sie es mit dem Auge</translation>
+      <translation>die Suche schlägt ({}, {}) px (Spalte, Zeile) vor, wie zufällig bei einem von {} Paaren, und keine Verknüpfungspunkte bestätigen es: prüfen Sie es mit dem Auge</translation>
     </message>
     <message>
       <source>{} has little more than two values, as a mask or a map of classes: match an image that it was made from, and move it by what that gives (shift)</source>
@@ -1833,15 +1833,15 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>{} % of the matches agree on another displacement, ({}, {}) px beside the correction: what has moved, or ground at another depth, where it does not hold</source>
-      <translation>{} % der Treffer einigen sich auf eine andere Verschiebung, ({}, {}) px neben der Korrektur: was sich bewegt hat, oder Boden in anderer Tiefe, wo sie nicht gilt</translation>
+      <translation>{} % der Treffer einigen sich auf eine andere Verschiebung, ({}, {}) px neben der Korrektur: was sich bewegt hat, oder Gelände in anderer Tiefe, wo sie nicht gilt</translation>
     </message>
     <message>
       <source>a tenth of the common ground is expected to lie more than {} px off after the {} correction</source>
-      <translation>ein Zehntel des gemeinsamen Bodens liegt voraussichtlich mehr als {} px daneben, auch nach der Korrektur ({})</translation>
+      <translation>ein Zehntel des gemeinsamen Geländes liegt voraussichtlich mehr als {} px daneben, auch nach der Korrektur ({})</translation>
     </message>
     <message>
       <source>clouds that moved, relief, parallax, or too few tie points</source>
-      <translation>Wolken, die sich bewegt haben, Relief, Parallaxe oder zu wenige Passpunkte</translation>
+      <translation>Wolken, die sich bewegt haben, Relief, Parallaxe oder zu wenige Verknüpfungspunkte</translation>
     </message>
     <message>
       <source>rows or columns move by {} px (RMS) within a matching window (jitter)</source>
@@ -1869,31 +1869,31 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>{} % of the common ground lies beyond the tie points: there the correction is extrapolated, and nothing checks it</source>
-      <translation>{} % des gemeinsamen Bodens liegen jenseits der Passpunkte: dort ist die Korrektur extrapoliert, und nichts prüft sie</translation>
+      <translation>{} % des gemeinsamen Geländes liegen jenseits der Verknüpfungspunkte: dort ist die Korrektur extrapoliert, und nichts prüft sie</translation>
     </message>
     <message>
       <source>{} % of the common ground shows nothing that could be matched, such as water, and lies beyond the tie points: the grade and the expected error are of the rest</source>
-      <translation>{} % des gemeinsamen Bodens zeigen nichts, was sich vergleichen ließ, wie Wasser, und liegen jenseits der Passpunkte: Note und erwarteter Fehler gelten für den Rest</translation>
+      <translation>{} % des gemeinsamen Geländes zeigen nichts, was sich vergleichen ließ, wie Wasser, und liegen jenseits der Verknüpfungspunkte: Note und erwarteter Fehler gelten für den Rest</translation>
     </message>
     <message>
       <source>the {} correction bends beyond the tie points: {} % of the common ground shows nothing that could be matched, and lies up to {} px off the affine trend of the points. Choose --model affine if that ground matters</source>
-      <translation>die Korrektur ({}) biegt sich jenseits der Passpunkte: {} % des gemeinsamen Bodens zeigen nichts, was sich vergleichen ließ, und liegen bis zu {} px neben dem affinen Trend der Punkte. Wählen Sie --model affine, wenn dieser Boden wichtig ist</translation>
+      <translation>die Korrektur ({}) biegt sich jenseits der Verknüpfungspunkte: {} % des gemeinsamen Geländes zeigen nichts, was sich vergleichen ließ, und liegen bis zu {} px neben dem affinen Trend der Punkte. Wählen Sie --model affine, wenn dieses Gelände wichtig ist</translation>
     </message>
     <message>
       <source>a tenth of the tie points say that bands of one product lie more than {} m apart, which its geometry hardly allows: they may be on clouds, which each band sees elsewhere</source>
-      <translation>nach einem Zehntel der Passpunkte liegen Kanäle eines Produkts mehr als {} m auseinander, was dessen Geometrie kaum zulässt: sie liegen wohl auf Wolken, die jeder Kanal anderswo sieht</translation>
+      <translation>nach einem Zehntel der Verknüpfungspunkte liegen Kanäle eines Produkts mehr als {} m auseinander, was dessen Geometrie kaum zulässt: sie liegen wohl auf Wolken, die jeder Kanal anderswo sieht</translation>
     </message>
     <message>
       <source>the ground repeats, and the whole scene fits better at {}{} px (col, row) from the georeferencing: the tie points are probably one or more periods off; give --prealign search, or a better geotransform</source>
-      <translation>der Boden wiederholt sich, und die ganze Szene passt besser bei {}{} px (Spalte, Zeile) von der Georeferenzierung: die Passpunkte liegen wohl eine oder mehr Perioden daneben; wählen Sie --prealign search, oder geben Sie eine bessere Georeferenzierung</translation>
+      <translation>das Gelände wiederholt sich, und die ganze Szene passt besser bei {}{} px (Spalte, Zeile) von der Georeferenzierung: die Verknüpfungspunkte liegen wohl eine oder mehr Perioden daneben; wählen Sie --prealign search, oder geben Sie eine bessere Georeferenzierung</translation>
     </message>
     <message>
       <source>the ground repeats, and the whole scene fits about as well at {}{} px (col, row) from the georeferencing: the tie points may be one or more periods off; check a place that does not repeat</source>
-      <translation>der Boden wiederholt sich, und die ganze Szene passt etwa gleich gut bei {}{} px (Spalte, Zeile) von der Georeferenzierung: die Passpunkte können eine oder mehr Perioden daneben liegen; prüfen Sie einen Ort, der sich nicht wiederholt</translation>
+      <translation>das Gelände wiederholt sich, und die ganze Szene passt etwa gleich gut bei {}{} px (Spalte, Zeile) von der Georeferenzierung: die Verknüpfungspunkte können eine oder mehr Perioden daneben liegen; prüfen Sie einen Ort, der sich nicht wiederholt</translation>
     </message>
     <message>
       <source>{} % of the ground with structure, in one part, has no tie points and lies at about ({}, {}) px (col, row) from the georeferencing, {} px from the rest: a seam of a mosaic, what has moved, or clouds; there the correction does not hold. Where it is ground, raise --search-radius</source>
-      <translation>{} % des Bodens mit Struktur, in einem Stück, haben keine Passpunkte und liegen etwa ({}, {}) px (Spalte, Zeile) von der Georeferenzierung, {} px vom Rest: eine Mosaiknaht, Bewegtes oder Wolken; dort gilt die Korrektur nicht. Wo es Boden ist, erhöhen Sie --search-radius</translation>
+      <translation>{} % des Geländes mit Struktur, in einem Stück, haben keine Verknüpfungspunkte und liegen etwa ({}, {}) px (Spalte, Zeile) von der Georeferenzierung, {} px vom Rest: eine Mosaiknaht, Bewegtes oder Wolken; dort gilt die Korrektur nicht. Wo es Gelände ist, erhöhen Sie --search-radius</translation>
     </message>
     <message>
       <source>the residuals run along the parallax of height: a tenth of them are over {} px along it, {} px across: the DEM {} errs by {} m and more there, which no correction takes out; give a finer or better one</source>
@@ -1901,7 +1901,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>the tie points are of a file without the results of their matching beside it: their own errors, and whether they were chosen by their residuals, are not known, so all figures may be too good</source>
-      <translation>die Passpunkte sind aus einer Datei, neben der die Ergebnisse ihres Vergleichs fehlen: ihre eigenen Fehler, und ob sie nach ihren Restfehlern ausgewählt wurden, sind unbekannt, alle Zahlen also vielleicht zu gut</translation>
+      <translation>die Verknüpfungspunkte sind aus einer Datei, neben der die Ergebnisse ihres Vergleichs fehlen: ihre eigenen Fehler, und ob sie nach ihren Restfehlern ausgewählt wurden, sind unbekannt, alle Zahlen also vielleicht zu gut</translation>
     </message>
     <message>
       <source>no georeferencing that the two share (CRS and geotransform) in</source>
@@ -1913,11 +1913,11 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>only the tie points given tell how the two lie</source>
-      <translation>nur die gegebenen Passpunkte sagen, wie die beiden liegen</translation>
+      <translation>nur die gegebenen Verknüpfungspunkte sagen, wie die beiden liegen</translation>
     </message>
     <message>
       <source>the two share too little structure and are matched by the relation of their grey values, from which slopes and shadows may depart: tie points share an error of some {} px per axis, which is part of their sigmas</source>
-      <translation>die beiden haben zu wenig Struktur gemeinsam und werden nach dem Zusammenhang ihrer Grauwerte verglichen, von dem Hänge und Schatten abweichen können: die Passpunkte teilen einen Fehler von etwa {} px je Achse, der Teil ihrer Sigmas ist</translation>
+      <translation>die beiden haben zu wenig Struktur gemeinsam und werden nach dem Zusammenhang ihrer Grauwerte verglichen, von dem Hänge und Schatten abweichen können: die Verknüpfungspunkte teilen einen Fehler von etwa {} px je Achse, der Teil ihrer Sigmas ist</translation>
     </message>
     <message>
       <source>--place is off</source>
@@ -1965,15 +1965,15 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>the first was taken for that of the ground, the rest for clouds, what else moves or lies at another depth; there the correction does not hold</source>
-      <translation>die erste wurde für die des Bodens genommen, der Rest für Wolken, was sich sonst bewegt oder in anderer Tiefe liegt; dort gilt die Korrektur nicht</translation>
+      <translation>die erste wurde für die des Geländes genommen, der Rest für Wolken, was sich sonst bewegt oder in anderer Tiefe liegt; dort gilt die Korrektur nicht</translation>
     </message>
     <message>
       <source>the displacement holds parallax: {} px (RMS) across the epipolar lines, {} px along them beside what one plane gives: the tie points are right at every depth, and one smooth correction cannot follow them all</source>
-      <translation>die Verschiebung enthält Parallaxe: {} px (RMS) quer zu den Epipolarlinien, {} px längs neben dem, was eine Ebene ergibt: die Passpunkte stimmen in jeder Tiefe, und eine glatte Korrektur kann nicht allen folgen</translation>
+      <translation>die Verschiebung enthält Parallaxe: {} px (RMS) quer zu den Epipolarlinien, {} px längs neben dem, was eine Ebene ergibt: die Verknüpfungspunkte stimmen in jeder Tiefe, und eine glatte Korrektur kann nicht allen folgen</translation>
     </message>
     <message>
       <source>{} tie points around ({}, {}) px (col, row) of the target agree among themselves and lie ({}, {}) px off what all others predict: rejected as wrong matches; if the ground has moved there, or is at another depth, they are right, and the correction does not hold there</source>
-      <translation>{} Passpunkte um ({}, {}) px (Spalte, Zeile) des Ziels stimmen untereinander überein und liegen ({}, {}) px neben dem, was alle anderen vorhersagen: als falsche Treffer verworfen; hat sich der Boden dort bewegt, oder liegt er in anderer Tiefe, so stimmen sie, und die Korrektur gilt dort nicht</translation>
+      <translation>{} Verknüpfungspunkte um ({}, {}) px (Spalte, Zeile) des Ziels stimmen untereinander überein und liegen ({}, {}) px neben dem, was alle anderen vorhersagen: als falsche Treffer verworfen; hat sich das Gelände dort bewegt, oder liegt es in anderer Tiefe, so stimmen sie, und die Korrektur gilt dort nicht</translation>
     </message>
     <message>
       <source>{} points that the matching had kept are left out of {}: residuals of the fit are those of chosen points; the check points are still all that were held out before</source>
@@ -1981,19 +1981,19 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>rows or columns are displaced against each other by {} px (RMS) within a matching window, and a tie point is the mean over it: the raster was resampled by nearest neighbour, or its scanner shook (jitter: try a smaller --window with --model jitter)</source>
-      <translation>Zeilen oder Spalten sind innerhalb eines Vergleichsfensters um {} px (RMS) gegeneinander verschoben, und ein Passpunkt ist das Mittel darüber: das Raster wurde nach nächstem Nachbarn umgerechnet, oder sein Scanner zitterte (Jitter: versuchen Sie ein kleineres --window mit --model jitter)</translation>
+      <translation>Zeilen oder Spalten sind innerhalb eines Vergleichsfensters um {} px (RMS) gegeneinander verschoben, und ein Verknüpfungspunkt ist das Mittel darüber: das Raster wurde nach nächstem Nachbarn umgerechnet, oder sein Scanner zitterte (Jitter: versuchen Sie ein kleineres --window mit --model jitter)</translation>
     </message>
     <message>
       <source>rising and falling edges lie ({}, {}) px (col, row) apart, as where one image shows heights, or other shadows: the tie points are means of the two, and share an error of half of that, which no residual shows and their sigmas hold</source>
-      <translation>steigende und fallende Kanten liegen ({}, {}) px (Spalte, Zeile) auseinander, wie wo ein Bild Höhen zeigt, oder andere Schatten: die Passpunkte sind Mittel von beiden und teilen einen Fehler von der Hälfte davon, den kein Restfehler zeigt und ihre Sigmas enthalten</translation>
+      <translation>steigende und fallende Kanten liegen ({}, {}) px (Spalte, Zeile) auseinander, wie wo ein Bild Höhen zeigt, oder andere Schatten: die Verknüpfungspunkte sind Mittel von beiden und teilen einen Fehler von der Hälfte davon, den kein Restfehler zeigt und ihre Sigmas enthalten</translation>
     </message>
     <message>
       <source>grey values lie ({}, {}) px (col, row) beside what the edges tell, as in other light: the tie points share an error of up to that, which no residual shows and their sigmas hold</source>
-      <translation>die Grauwerte liegen ({}, {}) px (Spalte, Zeile) neben dem, was die Kanten sagen, wie in anderem Licht: die Passpunkte teilen einen Fehler bis zu diesem, den kein Restfehler zeigt und ihre Sigmas enthalten</translation>
+      <translation>die Grauwerte liegen ({}, {}) px (Spalte, Zeile) neben dem, was die Kanten sagen, wie in anderem Licht: die Verknüpfungspunkte teilen einen Fehler bis zu diesem, den kein Restfehler zeigt und ihre Sigmas enthalten</translation>
     </message>
     <message>
       <source>what stands still in both frames agrees at no displacement; the ground was found about ({}, {}) px off, and is matched there</source>
-      <translation>was in beiden Bildern stillsteht, stimmt ohne Verschiebung überein; der Boden wurde etwa ({}, {}) px daneben gefunden und dort verglichen</translation>
+      <translation>was in beiden Bildern stillsteht, stimmt ohne Verschiebung überein; das Gelände wurde etwa ({}, {}) px daneben gefunden und dort verglichen</translation>
     </message>
     <message>
       <source>its sigmas are not calibrated</source>
@@ -2001,7 +2001,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>is a drawn map: its lines lie where they can be read, up to some metres beside the ground, and names and symbols show nothing of it; an image is better</source>
-      <translation>ist eine gezeichnete Karte: ihre Linien liegen, wo sie lesbar sind, bis zu einige Meter neben dem Boden, und Namen und Zeichen zeigen nichts von ihm; ein Bild ist besser</translation>
+      <translation>ist eine gezeichnete Karte: ihre Linien liegen, wo sie lesbar sind, bis zu einige Meter neben dem Gelände, und Namen und Zeichen zeigen nichts von ihm; ein Bild ist besser</translation>
     </message>
     <message>
       <source>is georeferenced by ground control points: displacements count from the geotransform that fits them best, which is off by up to {} px; if that is much, raise --search-radius</source>
@@ -2256,6 +2256,14 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Wendet die Korrektur auf andere Kanäle des Layers an; nichts wird verglichen.</translation>
     </message>
     <message>
+      <source>Points</source>
+      <translation>Punkte</translation>
+    </message>
+    <message>
+      <source>The tie points of a result are edited here. Align a layer first, or open points or a result.</source>
+      <translation>Hier werden die Verknüpfungspunkte eines Ergebnisses bearbeitet. Richten Sie zuerst einen Layer aus, oder öffnen Sie Punkte oder ein Ergebnis.</translation>
+    </message>
+    <message>
       <source>Open points of a file…</source>
       <translation>Punkte einer Datei öffnen…</translation>
     </message>
@@ -2269,11 +2277,11 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Before and after</source>
-      <translation>Vorher und nachher</translation>
+      <translation>Vergleich</translation>
     </message>
     <message>
-      <source>Does the result fit? See it on the map beside, in turns with, or over the layer as it was or the reference.</source>
-      <translation>Passt das Ergebnis? Auf der Karte ansehen: neben, im Wechsel mit oder über dem Layer, wie er war, oder der Referenz.</translation>
+      <source>Once a layer is aligned: does it fit? See the result on the map beside, in turns with, or over the layer as it was or the reference.</source>
+      <translation>Sobald ein Layer ausgerichtet ist: passt er? Das Ergebnis auf der Karte ansehen: neben, im Wechsel mit oder über dem Layer, wie er war, oder der Referenz.</translation>
     </message>
     <message>
       <source>The layer as it was, or the reference, left of the mouse; the map right of it.</source>
@@ -2325,11 +2333,11 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>A map of what is left at the tie points, in target pixels.</source>
-      <translation>Eine Karte dessen, was an den Passpunkten übrig ist, in Zielpixeln.</translation>
+      <translation>Eine Karte dessen, was an den Verknüpfungspunkten übrig ist, in Zielpixeln.</translation>
     </message>
     <message>
       <source>Residuals</source>
-      <translation>Residuen</translation>
+      <translation>Restfehler</translation>
     </message>
     <message>
       <source>Hold Space on the map to see the reference alone.</source>
@@ -2397,7 +2405,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>How much longer than they are the residuals are drawn.</source>
-      <translation>Um wie viel länger, als sie sind, die Residuen gezeichnet werden.</translation>
+      <translation>Um wie viel länger, als sie sind, die Restfehler gezeichnet werden.</translation>
     </message>
     <message>
       <source>Arrows: automatic</source>
@@ -2417,7 +2425,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>Switches off all points whose residual is longer than this.</source>
-      <translation>Schaltet alle Punkte aus, deren Residuum länger ist.</translation>
+      <translation>Schaltet alle Punkte aus, deren Restfehler länger ist.</translation>
     </message>
     <message>
       <source>Off: longer than</source>

@@ -146,7 +146,9 @@ class Drawing:
 
         Raises `QgsProcessingException` where half of it, or more, is empty.
         """
-        scale = f"{self.px:.3g} {core.QgsUnitTypes.toAbbreviatedString(self.crs.mapUnits())}"
+        scale = (
+            f"{float(format(self.px, '.3g')):g} {core.QgsUnitTypes.toAbbreviatedString(self.crs.mapUnits())}"
+        )
         text = tr("Drawing “{}”: {} × {} pixels of {}")
         feedback.setProgressText(text.format(self.name, self.columns, self.rows, scale))
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -41,7 +41,11 @@ def facts(outcome: Mapping[str, Any]) -> str:
     if "RMSE_M" in found:
         lines[-1] += tr(" (RMSE {RMSE_M:.2f} m, CE90 {CE90_M:.2f} m)").format(**found)
     if basemap := outcome.get("basemap") or (outcome.get("reference") or {}).get("basemap"):
-        facts_of = (basemap["attribution"], f"{basemap['pixel_m'] or 0:.3g} m", basemap["date"])
+        facts_of = (
+            basemap["attribution"],
+            f"{float(format(basemap['pixel_m'] or 0, '.3g')):g} m",
+            basemap["date"],
+        )
         name = f"{basemap['name']} ({', '.join(filter(None, facts_of))})"
         lines.append(tr("All this is relative to the basemap {}.").format(name))
     return "\n".join(lines)

@@ -394,9 +394,8 @@ class AlignDock(gui.QgsDockWidget):
         for layer in self._pair:  # they go with it, in this thread
             layer.setParent(self.editor)
         self.editor.apply.connect(self._align_again)
-        self.points_page.layout().insertWidget(0, self.editor)
-        for button in (self.open_points_button, self.file_points_button):
-            button.hide()
+        self.points_page.layout().insertWidget(0, self.editor, 1)
+        self._show_no_points(False)
         self.editor.use_button.setDisabled(self._runner.running)
         self.layers["points"] = self.editor.layer.layer  # which is no layer of the project, nor saved with it
 
@@ -413,8 +412,12 @@ class AlignDock(gui.QgsDockWidget):
             self.editor.hide()
             self.editor.deleteLater()
             self.editor = None
-            for button in (self.open_points_button, self.file_points_button):
-                button.show()
+            self._show_no_points(True)
+
+    def _show_no_points(self, shown: bool) -> None:
+        """Show how to come by tie points, where there are none."""
+        for widget in (self.no_points_label, self.open_points_button, self.file_points_button):
+            widget.setVisible(shown)
 
     def _turn_page(self) -> None:
         """Show what the page is about, and put away what belongs to others; only its own places the layer."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from qgis import core, gui
-from qgis.PyQt.QtWidgets import QCheckBox, QFormLayout, QLabel
+from qgis.PyQt.QtWidgets import QCheckBox, QFormLayout, QLabel, QLineEdit, QWidget
 
 from .runner import project_context
 
@@ -55,6 +55,7 @@ class Choices(gui.QgsProcessingContextGenerator):
         label = QLabel("" if isinstance(widget, QCheckBox) else parameter.description())
         for each in (label, widget):
             each.setToolTip(parameter.help())
+        _deselect(widget)
         form.addRow(label, widget)
         self._wrappers[parameter.name()] = wrapper
         self._parameters.append(parameter)  # a wrapper does not keep its own
@@ -67,6 +68,7 @@ class Choices(gui.QgsProcessingContextGenerator):
         """Choose what is preset."""
         for name, wrapper in self._wrappers.items():
             self.set(name, wrapper.parameterDefinition().defaultValue())
+            _deselect(wrapper.wrappedWidget())
 
     def value(self, name: str) -> object:
         """Return what is chosen."""
@@ -78,3 +80,9 @@ class Choices(gui.QgsProcessingContextGenerator):
             core.QgsProcessingUtils.mapLayerFromString(each, self._context) for each in self.value(name) or []
         )
         return [layer.clone() for layer in found if layer is not None]
+
+
+def _deselect(widget: QWidget) -> None:
+    """Select no text: a field that says “Not set” selects that, as if its user were about to type."""
+    for field in widget.findChildren(QLineEdit):
+        field.deselect()
