@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -35,6 +36,8 @@ class TileParameters:
     """Endings of the files of an index."""
     columns: tuple[str, ...] = ("location", "path", "filename", "file")
     """Columns of an index that may hold the names of the tiles, the first one that there is."""
+    asset: re.Pattern[str] = re.compile(r"assets\.[^.]+\.href", re.IGNORECASE)
+    """The only such column otherwise: an asset of STAC items, as GDAL writes stac-geoparquet."""
     margin_px: int = 64
     """Margin around the target besides the search radius."""
     radius_px: int = 64
@@ -133,7 +136,8 @@ def _of_index(name: str) -> tuple[list[_Listed], CRS | None]:
     if len(layers) != 1 or not len(layers[0].values[0]):
         raise InputError(
             f"{name} is no index of tiles: of a single layer one of the columns {', '.join(TILES.columns)} "
-            "must name their files, as gdaltindex writes it"
+            "must name their files, as gdaltindex writes it, or "
+            "a single column assets.….href"
         )
     (layer,) = layers
     names = [str(value) for value in layer.values[layer.fields.index(_column(layer))]]
@@ -150,7 +154,9 @@ def _of_index(name: str) -> tuple[list[_Listed], CRS | None]:
 def _column(layer: VectorLayer) -> str:
     """Return the column that names the files; empty if there is none."""
     fields = {field.lower(): field for field in layer.fields}
-    return next((fields[column] for column in TILES.columns if column in fields), "")
+    assets = [field for field in layer.fields if TILES.asset.fullmatch(field)]
+    lone = assets[0] if len(assets) == 1 else ""
+    return next((fields[column] for column in TILES.columns if column in fields), lone)
 
 
 def _file_named(tile: str, folder: Path, index: str) -> str:

@@ -15,6 +15,7 @@ import shapely
 from affine import Affine
 
 import pcwlad_geo
+from pcwlad_geo.basemaps.tiles import _listed, is_tiles
 from pcwlad_geo.cli.app import run
 from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.job import match_files
@@ -105,6 +106,14 @@ def test_tiles_give_the_result_of_one_raster(
     read = {file["path"] for file in report["inputs"] if file["role"] == "reference"}
     assert read == {str(used), *(str(tile(tiles, row, col)) for row in (0, 1) for col in (0, 1))}
     assert "reference.vrt" in report["outputs"]
+
+
+def test_an_asset_of_stac_items_names_the_tiles(tiles: Path) -> None:
+    indexes = index_of(tiles), index_of(tiles, "items.gpkg", "assets.data.href")
+    assert all(is_tiles(str(index)) for index in indexes)
+    listed, items = ([tile.path for tile in _listed(str(index))[0]] for index in indexes)
+    assert len(items) == 16
+    assert items == listed
 
 
 def test_a_tile_index_of_gdal_is_a_reference_that_is_trusted(tiles: Path, target: Path) -> None:
