@@ -6,13 +6,14 @@ that has moved by a few pixels. They are left out before the matching.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from pcwlad_geo.estimation.plausible import ALL_VALUES
-from pcwlad_geo.raster import Grid, RasterInfo, View, ViewPair, Window
+from pcwlad_geo.raster import Grid, Patch, RasterInfo, View, ViewPair, Window
 from pcwlad_geo.raster.raster import Raster
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.registration.frame_marks import Frames, SpeckParameters, filled, strokes
@@ -73,27 +74,47 @@ def without_marks(
     Asked of two rasters of the same grid, of which all may be read. The files of the cleaned frames are held
     `in_memory`, where this process alone finds them. Raises `InputError` if one cannot be read.
     """
-    reference, target = pair.reference, pair.target
-    same = type(reference.grid) is Grid and reference.grid == target.grid and reference.uri != target.uri
-    if not same or pair.settings.extent is not None or np.prod(reference.grid.shape) > parameters.most_px:
+    patches = read_frames(pair, parameters.most_px)
+    if patches is None:
         return None
-    whole = Window.whole(reference.grid.shape)
-    one, other = (View(info, info.grid, "none").read(whole) for info in (reference, target))
+    one, other = patches
     frames = Frames(one.values.astype(np.float32), other.values.astype(np.float32), one.valid & other.valid)
     marks = _marks(frames, parameters)
     profiles = {axis: _stripes(frames, marks, axis, parameters) for axis in (0, 1)}
     stripes = {axis: shared for axis, shared in profiles.items() if shared is not None}
     if not marks.any() and not stripes:
         return None
-    scratch, infos = Scratch(in_memory=in_memory), []
-    for number, (info, patch) in enumerate(((reference, one), (target, other))):
+    cleaned = []
+    for number, patch in enumerate(patches):
         values = patch.values.astype(np.float32)
         for axis, shared in stripes.items():
             values -= np.expand_dims(shared[number], axis)
         values[~patch.valid] = np.nan
-        uri = scratch.file_of(Raster(_unmarked(values, marks, parameters), info.grid), f"frame_{number}")
-        infos.append(_of_file(info, uri))
-    return CleanedPair(_with(pair, *infos), _note(float(marks.mean()), list(stripes)), scratch)
+        cleaned.append(_unmarked(values, marks, parameters))
+    return with_frames(pair, cleaned, _note(float(marks.mean()), list(stripes)), in_memory=in_memory)
+
+
+def read_frames(pair: Pair, most_px: int) -> tuple[Patch, Patch] | None:
+    """Return the pixels of two files of the same grid; None of others, or where not all may be read.
+
+    Raises `InputError` if one cannot be read.
+    """
+    reference, target = pair.reference, pair.target
+    same = type(reference.grid) is Grid and reference.grid == target.grid and reference.uri != target.uri
+    if not same or pair.settings.extent is not None or np.prod(reference.grid.shape) > most_px:
+        return None
+    whole = Window.whole(reference.grid.shape)
+    return View(reference, reference.grid, "none").read(whole), View(target, target.grid, "none").read(whole)
+
+
+def with_frames(pair: Pair, frames: Sequence[Float32], note: str, *, in_memory: bool) -> CleanedPair:
+    """Return a pair of the (rows, cols) `frames`, of reference and target, NaN where they are invalid."""
+    scratch, infos = Scratch(in_memory=in_memory), []
+    for name, info, values in zip(
+        ("reference", "target"), (pair.reference, pair.target), frames, strict=True
+    ):
+        infos.append(_of_file(info, scratch.file_of(Raster(values, info.grid), name)))
+    return CleanedPair(_with(pair, *infos), note, scratch)
 
 
 def _unmarked(values: Float32, marks: Bool, parameters: CleaningParameters) -> Float32:

@@ -17,8 +17,9 @@ from pcwlad_geo.matching.clusters import contradicted_clusters
 from pcwlad_geo.raster import ViewPair, Window, file_px_per_px
 from pcwlad_geo.registration.decision import Decision, with_doubts
 from pcwlad_geo.registration.edge_sides import shared_errors
-from pcwlad_geo.registration.frame_cleaning import with_infos, without_marks
+from pcwlad_geo.registration.frame_cleaning import CleanedPair, with_infos, without_marks
 from pcwlad_geo.registration.frame_evidence import FrameEvidence, frame_evidence
+from pcwlad_geo.registration.frame_smoothing import without_pattern
 from pcwlad_geo.registration.match_record import record_ground
 from pcwlad_geo.registration.motions import Motion, describe_motions
 from pcwlad_geo.registration.point_file import UNKNOWN_ORIGIN, user_points
@@ -95,13 +96,26 @@ def _of_ground(pair: Pair, log: JobLog, runner: Runner, parameters: PairParamete
     """Match a pair without what stands still in both frames."""
     with log.stage("reading"):
         cleaned = without_marks(pair, in_memory=runner.shares_memory)
-    if cleaned is None:
-        matches = _without_clusters(_by_matching(pair, log, runner, parameters), log, parameters)
-        return _with_frame_evidence(matches, log, runner, parameters)
-    log.warn(cleaned.note)
-    here = runner if runner.is_local else InThisProcess()
-    matches = _without_clusters(_by_matching(cleaned.pair, log, here, parameters), log, parameters)
-    matches = _with_frame_evidence(matches, log, here, parameters)
+    matches = _matched_as(cleaned, pair, log, runner, parameters)
+    if not matches.accepted or any(doubt.grade == "poor" for doubt in matches.decision.doubts):
+        return matches
+    smooth = without_pattern(cleaned.pair if cleaned else pair, in_memory=runner.shares_memory)
+    of_ground = _matched_as(smooth, pair, log, runner, parameters) if smooth else matches
+    return of_ground if of_ground.accepted else matches
+
+
+def _matched_as(
+    cleaned: CleanedPair | None, pair: Pair, log: JobLog, runner: Runner, parameters: PairParameters
+) -> Matches:
+    """Match a pair, or what was made of its frames, and ask whether the ground agrees."""
+    frames = cleaned.pair if cleaned else pair
+    if cleaned:
+        log.warn(cleaned.note)
+        runner = runner if runner.is_local else InThisProcess()
+    matches = _without_clusters(_by_matching(frames, log, runner, parameters), log, parameters)
+    matches = _with_frame_evidence(matches, log, runner, parameters)
+    if not cleaned:
+        return matches
     views = with_infos(matches.views, pair.views.reference.info, pair.views.target.info)
     return replace(matches, pair=pair, views=views, frames=cleaned.scratch)
 

@@ -15,6 +15,7 @@ from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import View, Window
 from pcwlad_geo.registration import match_pair, prepare_pair
 from pcwlad_geo.registration.frame_cleaning import without_marks
+from pcwlad_geo.registration.frame_smoothing import NOTE, without_pattern
 from pcwlad_geo.registration.result import Matches, Pair
 from tests.scenes import make_grid, render, write
 
@@ -43,6 +44,10 @@ def written_on(values: Array) -> Array:
 def striped(axis: int) -> Callable[[Array], Array]:
     shape = (1, SHAPE[1]) if axis == 0 else (SHAPE[0], 1)
     return lambda values: values + np.random.default_rng(5).normal(0, 18, shape)
+
+
+def patterned(values: Array) -> Array:
+    return values + np.random.default_rng(6).normal(0, 6, SHAPE)
 
 
 def pair_of(folder: Path, *frames: Array) -> Pair:
@@ -98,3 +103,41 @@ def test_writing_is_invalid_or_where_it_is_dense_filled(tmp_path: Path, in_memor
     info = cleaned.pair.target
     patch = View(info, info.grid, "none").read(Window.whole(SHAPE))
     assert not (patch.valid & (patch.values >= 255)).any()
+
+
+def test_a_pattern_of_single_pixels_does_not_draw_the_points(tmp_path: Path) -> None:
+    pair = pair_of(tmp_path, patterned(ground((0, 0), 1)), patterned(ground(MOVED_PX, 2)))
+    matches = match_pair(pair, InThisProcess())
+    assert matches.accepted
+    np.testing.assert_allclose(displacement_px(matches), MOVED_PX, atol=0.08)
+    assert NOTE in matches.warnings
+
+
+@pytest.mark.parametrize("moved_px", [(0.0, 0.0), (2.3, -1.6)])
+@pytest.mark.parametrize("seen", [patterned, lambda values: values], ids=["pattern", "none"])
+def test_only_a_pattern_beside_ground_that_has_moved_is_smoothed(
+    tmp_path: Path, seen: Callable[[Array], Array], moved_px: tuple[float, float]
+) -> None:
+    pair = pair_of(tmp_path, seen(ground((0, 0), 1)), seen(ground(moved_px, 2)))
+    is_smoothed = without_pattern(pair, in_memory=True) is not None
+    assert is_smoothed == (seen is patterned and moved_px != (0.0, 0.0))
+
+
+def test_smoothed_frames_keep_what_is_invalid(tmp_path: Path) -> None:
+    hole = np.s_[50:90, 60:100]
+    frames = [patterned(ground(moved_px, seed)) for seed, moved_px in enumerate([(0.0, 0.0), MOVED_PX])]
+    frames = [np.clip(np.rint(values), 1, 255) for values in frames]
+    for values in frames:
+        values[hole] = 0
+    paths = [
+        write(tmp_path / f"{n}.tif", values.astype("uint8"), None, dtype="uint8", nodata=0)
+        for n, values in enumerate(frames)
+    ]
+    smooth = without_pattern(prepare_pair(*paths, Settings(jobs=1)), in_memory=True)
+    assert smooth is not None
+    info = smooth.pair.reference
+    patch = View(info, info.grid, "none").read(Window.whole(SHAPE))
+    assert not patch.valid[hole].any()
+    assert np.count_nonzero(~patch.valid) == 1600
+    beside = np.abs(patch.values[46:50, 60:100] - patch.values[40:44, 60:100])
+    assert beside.mean() < 25

@@ -1,0 +1,126 @@
+"""Frames without a pattern of single pixels that both have: a fixed pattern of a sensor.
+
+It is alike in the finest structure at no displacement, whatever the displacement of the ground, which longer
+waves show. Where ground is clear, its tie points are drawn by fractions of a pixel only, and all agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from pcwlad_geo.registration.frame_cleaning import CleanedPair, read_frames, with_frames
+from pcwlad_geo.registration.frame_marks import Frames
+from pcwlad_geo.registration.result import Pair
+from pcwlad_geo.types import Bool, Float32, Float64
+
+NOTE = "the matching leaves out what single pixels of both frames have in common, as a sensor's fixed pattern"
+"""What says that frames were smoothed."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatternParameters:
+    """How a pattern of single pixels is told from ground, and taken out."""
+
+    most_px: int = 2**24
+    """Largest number of pixels of a frame."""
+    side_px: int = 512
+    """Side of the part in the middle that is asked."""
+    finest_px: float = 2.8
+    """Longest wavelength of the finest structure."""
+    ground_px: tuple[float, float] = (6.0, 24.0)
+    """Wavelengths that show the displacement of the ground."""
+    reach_px: int = 12
+    """Largest displacement that is looked for along either axis."""
+    steps: int = 21
+    """How many places are asked from one pixel before a peak to one after, along either axis."""
+    ground_z: float = 30.0
+    """Least peak of the ground's phase correlation, its standard deviations: 35 and more under a pattern."""
+    pattern_z: float = 40.0
+    """Least correlation of the finest structure at no displacement, standard deviations of chance: 75 and
+    more of a pattern."""
+    pattern_ratio: float = 1.5
+    """Least ratio of it to that at the displacement of the ground: 1.5 and more of a pattern beside ground
+    that has moved by half a pixel; at most 1.3 of bands in place."""
+    least_px: float = 0.3
+    """Least displacement of the ground that the finest structure tells from none."""
+    smooth_px: float = 2.5
+    """Standard deviation of the filter that takes the pattern out: of 0.72 px of displacement 0.4 px were
+    lost without it, 0.3 with 1 px, 0.08 with 2 px and 0.03 with 3 px."""
+
+
+def without_pattern(
+    pair: Pair, *, in_memory: bool, parameters: PatternParameters = PatternParameters()
+) -> CleanedPair | None:
+    """Return a pair without the pattern of single pixels that both frames have; None where they have none.
+
+    Asked of two rasters of the same grid, of which all may be read. The files of the smoothed frames are held
+    `in_memory`, where this process alone finds them. Raises `InputError` if one cannot be read.
+    """
+    patches = read_frames(pair, parameters.most_px)
+    if patches is None:
+        return None
+    one, other = (patch.values.astype(np.float32) for patch in patches)
+    if not _has_pattern(Frames(one, other, patches[0].valid & patches[1].valid), parameters):
+        return None
+    smooth = [_smoothed(patch.values.astype(np.float32), patch.valid, parameters) for patch in patches]
+    return with_frames(pair, smooth, NOTE, in_memory=in_memory)
+
+
+def _smoothed(values: Float32, valid: Bool, parameters: PatternParameters) -> Float32:
+    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), parameters.smooth_px)
+    blurred = cv2.GaussianBlur(np.where(valid, values, 0), (0, 0), parameters.smooth_px)
+    return np.where(valid, blurred / np.maximum(weight, 1e-3), np.float32(np.nan))
+
+
+def _has_pattern(frames: Frames, parameters: PatternParameters) -> bool:
+    """Return whether the finest structure agrees at no displacement, and the ground at another."""
+    side = min(parameters.side_px, *frames.valid.shape) // 2 * 2
+    top, left = ((length - side) // 2 for length in frames.valid.shape)
+    middle = np.s_[top : top + side, left : left + side]
+    spectra = [scipy.fft.rfft2(_flat(values[middle], frames.valid[middle])) for values in frames[:2]]
+    crossed = np.conj(spectra[0]) * spectra[1]
+    crossed /= np.abs(crossed) + 1e-9
+    row, col = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)
+    radius, inner = np.hypot(row, col), (np.abs(row) > 2 / side) & (col > 2 / side)
+    shortest, longest = parameters.ground_px
+    ground_px = _peak_px(crossed * (inner & (radius > 1 / longest) & (radius < 1 / shortest)), parameters)
+    if ground_px is None or np.abs(ground_px).max() < parameters.least_px:
+        return False
+    fine = inner & (radius > 1 / parameters.finest_px) & (radius <= 0.5)
+    at_ground = np.exp(2j * np.pi * (col * ground_px[0] + row * ground_px[1]))
+    chance = np.sqrt(np.count_nonzero(fine) / 2)
+    at_none, there = (abs(float(part[fine].real.sum())) / chance for part in (crossed, crossed * at_ground))
+    return bool(at_none > max(parameters.pattern_z, parameters.pattern_ratio * there))
+
+
+def _peak_px(crossed: NDArray[np.complex64], parameters: PatternParameters) -> Float64 | None:
+    """Return the (2,) displacement (col, row) at which phases agree; None where they hardly do."""
+    side, reach = len(crossed), parameters.reach_px
+    surface = np.abs(scipy.fft.irfft2(crossed, (side, side)))
+    window = np.roll(surface, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    if window.max() < parameters.ground_z * np.sqrt((surface**2).mean()):
+        return None
+    down, right = np.unravel_index(int(window.argmax()), window.shape)
+    fine = np.linspace(-1, 1, parameters.steps)
+    rows, cols = int(down) - reach + fine, int(right) - reach + fine
+    along_rows = np.exp(2j * np.pi * np.outer(rows, np.fft.fftfreq(side)))
+    along_cols = np.exp(2j * np.pi * np.outer(np.fft.rfftfreq(side), cols))
+    peaks = np.abs((along_rows @ crossed @ along_cols).real)
+    best = np.unravel_index(int(peaks.argmax()), peaks.shape)
+    return np.array([cols[best[1]], rows[best[0]]])
+
+
+def _flat(values: Float32, valid: Bool) -> Float32:
+    """Return (side, side) values without shading and what whole rows or columns have, tapered."""
+    known = np.where(valid, values, np.median(values[valid]) if valid.any() else 0).astype(np.float32)
+    flat = known - cv2.GaussianBlur(known, (0, 0), 12)
+    flat = (flat - flat.mean(axis=0)) * valid
+    flat = (flat - flat.mean(axis=1)[:, None]) * valid
+    taper = np.hanning(len(flat)).astype(np.float32)
+    flat = np.clip(flat / max(float(flat.std()), 1e-9), -4, 4)
+    return np.asarray(flat * taper[:, None] * taper, np.float32)
