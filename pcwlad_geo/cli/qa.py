@@ -13,6 +13,7 @@ from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.options import checked_options
 from pcwlad_geo.cli.running import Ending, run_guarded
 from pcwlad_geo.cli.tables import columns
+from pcwlad_geo.cli.watch import abandon_reports, look_at_reports
 from pcwlad_geo.errors import RegistrationRejectedError, RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.text import visible
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from pcwlad_geo.multi.qa.closure import Triangle
     from pcwlad_geo.multi.qa.numbers import QaResult
     from pcwlad_geo.multi.qa.requirements import Judged
-    from pcwlad_geo.multi.watch.trend_page import Trend
 
 BAND_PAIR_COLUMNS: Final = (
     "pair (reference – target)",
@@ -161,7 +161,7 @@ TrendOption = Annotated[
     Path | None,
     o.option(
         "--trend",
-        help="Instead of measuring: plot the figures of all reports below DIR over time.",
+        help="Instead of measuring: what `watch DIR` does with reports, plot their figures over time.",
         metavar="DIR",
     ),
 ]
@@ -224,31 +224,14 @@ def _trend(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
             raise SettingsError(
                 f"--trend takes no --{name.replace('_', '-')}: it repeats what the reports say"
             )
-    from pcwlad_geo.multi.watch.trend import trend
-
-    return _trend_ending(
-        trend(params["trend"], out_dir=params["out_dir"], overwrite=params["overwrite"], on_event=on_event)
-    )
-
-
-def _trend_ending(trend: Trend) -> Ending:
-    figures: dict[str, object] = {
-        "reports": trend.reports,
-        "series": len(trend.series),
-        "paths": {kind: str(path) for kind, path in trend.paths.items()},
-    }
-    text = f"{trend.reports} reports, {len(trend.series)} series\nreport: {trend.paths['report']}\n"
-    return Ending(figures, visible(text))
+    return look_at_reports(params["trend"], params, on_event)
 
 
 def _abandon(params: Mapping[str, Any]) -> None:
-    from pcwlad_geo.outputs.folder import abandon
-
     if params["trend"] is not None:
-        from pcwlad_geo.multi.watch.trend import trend_folder
-
-        abandon(trend_folder(params["trend"], params["out_dir"]))
+        abandon_reports(params["trend"], params)
     elif params["rasters"]:
         from pcwlad_geo.multi.qa.run import qa_folder
+        from pcwlad_geo.outputs.folder import abandon
 
         abandon(qa_folder(params["rasters"], params["out_dir"]))

@@ -1,4 +1,4 @@
-"""``pcwlad-geo watch``: a finished stack over time."""
+"""``pcwlad-geo watch``: a finished stack, or the reports below a folder, over time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pcwlad_geo.cli.options import checked_options
 from pcwlad_geo.cli.running import Ending, run_guarded
 from pcwlad_geo.cli.stack import abandon_stack, stack_ending
 from pcwlad_geo.cli.tables import columns
-from pcwlad_geo.errors import RequirementError
+from pcwlad_geo.errors import RequirementError, SettingsError
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.text import visible
 
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from pcwlad_geo.multi.watch.numbers import WatchNumbers
 
 
-StackFolder = Annotated[Path, o.argument("STACK", "Output folder of an earlier pcwlad-geo stack.")]
+StackFolder = Annotated[
+    Path, o.argument("STACK", "Output folder of an earlier pcwlad-geo stack, or a folder of reports.")
+]
 AddFirst = Annotated[
     list[str] | None,
     o.option("--add", help="Add this image to the stack first; repeatable.", metavar="IMAGE"),
@@ -51,14 +53,47 @@ def watch(
     apply: Apply = False,
     require: WatchRequire = None,
 ) -> None:
-    """Find steps, drifts and moving ground in a finished stack."""
+    """Find steps, drifts and moving ground in a finished stack, or plot the figures of reports over time."""
     params = context.params
     run_guarded(params, lambda on_event: _watch(params, on_event), lambda: _abandon_watch(params))
+
+
+def look_at_reports(folder: Path, params: Mapping[str, Any], on_event: EventCallback) -> Ending:
+    """Plot the figures of the reports below a folder over time."""
+    from pcwlad_geo.multi.watch.trend import trend
+
+    result = trend(folder, out_dir=params["out_dir"], overwrite=params["overwrite"], on_event=on_event)
+    figures: dict[str, object] = {
+        "reports": result.reports,
+        "series": len(result.series),
+        "paths": {kind: str(path) for kind, path in result.paths.items()},
+    }
+    text = f"{result.reports} reports, {len(result.series)} series\nreport: {result.paths['report']}\n"
+    return Ending(figures, visible(text))
+
+
+def abandon_reports(folder: Path, params: Mapping[str, Any]) -> None:
+    """Remove what an ended look at reports has left."""
+    from pcwlad_geo.multi.watch.trend import trend_folder
+    from pcwlad_geo.outputs.folder import abandon
+
+    abandon(trend_folder(folder, params["out_dir"]))
+
+
+def _holds_reports(folder: Path) -> bool:
+    """Return whether a folder is that of reports, and of no stack."""
+    names = ("report.json", "qa.json")
+    return not (folder / "stack.json").exists() and any(next(folder.rglob(name), None) for name in names)
 
 
 def _watch(params: Mapping[str, Any], on_event: EventCallback) -> Ending:
     settings = checked_options(params)
     requirements = settings.pop("require", None) or ()
+    if _holds_reports(params["stack"]):
+        for name in ("add", "apply", "require"):
+            if params[name]:
+                raise SettingsError(f"{params['stack']} holds reports and no stack: --{name} is for a stack")
+        return look_at_reports(params["stack"], params, on_event)
     from pcwlad_geo.multi.watch.page import WATCH_FILES
     from pcwlad_geo.multi.watch.run import watch, watch_folder
     from pcwlad_geo.outputs.folder import check_output_folder
@@ -128,6 +163,9 @@ def _abandon_watch(params: Mapping[str, Any]) -> None:
     from pcwlad_geo.multi.watch.run import watch_folder
     from pcwlad_geo.outputs.folder import abandon
 
+    if _holds_reports(params["stack"]):
+        abandon_reports(params["stack"], params)
+        return
     abandon(watch_folder(params["stack"], params["out_dir"]))
     if params["add"]:
         abandon_stack(params["stack"])

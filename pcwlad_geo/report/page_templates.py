@@ -27,7 +27,6 @@ def page_environment(package: str) -> Environment:
     environment.filters["percent"] = percent
     environment.filters["pair"] = _pair
     environment.filters["plain"] = plain
-    environment.filters["svg"] = _svg
     environment.filters["jpeg"] = _jpeg
     environment.filters["lines"] = _lines
     environment.globals |= {
@@ -89,10 +88,12 @@ def _pair(statistics: object, name: str, digits: int = 3) -> str:
 
 def templates_of(package: str) -> Environment:
     """Return the templates of a subpackage and what pages share; undefined names in them raise errors."""
-    return Environment(
+    environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("pcwlad_geo.report")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["svg"] = _svg
+    return environment

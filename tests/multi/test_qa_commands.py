@@ -66,6 +66,8 @@ def test_trend(stack: Path, cli: Cli) -> None:
     ended = json.loads(result.stdout.splitlines()[-1])
     assert (ended["reports"], ended["series"]) == (1, 1)
     assert Path(ended["paths"]["report"]).is_file()
+    watched = cli("watch", ".", "-o", "watched", "--progress", "json")
+    assert json.loads(watched.stdout.splitlines()[-1])["reports"] == 1
 
 
 @pytest.mark.parametrize(

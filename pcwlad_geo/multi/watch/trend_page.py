@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Final
+
+import numpy as np
 
 from pcwlad_geo.multi.pages import environment
-from pcwlad_geo.multi.watch.dates import seconds_of
-
-
-@dataclass(frozen=True, slots=True)
-class TrendLayout:
-    """Sizes of the charts, CSS px, and what they mark."""
-
-    width_px: float = 520.0
-    height_px: float = 200.0
-    margins_px: tuple[float, float, float, float] = (44.0, 10.0, 10.0, 24.0)
-    """Left, right, top and bottom of the plot."""
-    risen_factor: float = 1.5
-    """Factor by which the latest CE90 must exceed the median of those before to be marked."""
-
-
-TREND_LAYOUT: Final = TrendLayout()
-"""The layout in use."""
+from pcwlad_geo.report.charts import span_of
+from pcwlad_geo.report.time_lines import ErrorLine, error_line_figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,29 +57,12 @@ class Trend:
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
-    """A linear scale from values to CSS px."""
-
-    low: float
-    high: float
-    low_px: float
-    high_px: float
-
-    def __call__(self, value: float) -> float:
-        """Return the position of a value, CSS px; the middle if the scale has no length."""
-        if self.high == self.low:
-            return (self.low_px + self.high_px) / 2
-        share = (value - self.low) / (self.high - self.low)
-        return round(self.low_px + share * (self.high_px - self.low_px), 1)
-
-
-@dataclass(frozen=True, slots=True)
 class Chart:
     """The chart of a series."""
 
     series: PairSeries
-    lines: dict[str, list[tuple[float, float]]]
-    """Points (x, y) of `ce90`, `col`, `row`, CSS px."""
+    picture: str
+    """An SVG."""
     ce90_latest: float | None
     ce90_median: float | None
     risen: bool
@@ -112,18 +80,13 @@ class Chart:
         )
 
 
-def render(result: Trend, layout: TrendLayout = TREND_LAYOUT) -> str:
+def render(result: Trend) -> str:
     """Return the text of `trend.html`."""
-    left_px, right_px, top_px, bottom_px = layout.margins_px
-    right_px, bottom_px = layout.width_px - right_px, layout.height_px - bottom_px
     moments = [moment for series in result.series for moment in series.moments]
-    times = [seconds_of(moment.date) for moment in moments]
-    x = Axis(min(times), max(times), left_px, right_px)
-    values = [value for moment in moments for value in (*moment.mean_px, moment.ce90_px or 0.0)]
-    ticks = nice_ticks(min(0.0, *values), max(0.0, *values))
-    y = Axis(ticks[0], ticks[-1], bottom_px, top_px)
-    dates = sorted(moment.date[:10] for moment in moments)
-    charts = [_chart(series, x, y, layout.risen_factor) for series in result.series]
+    days = np.array([moment.date[:10] for moment in moments], "datetime64[D]")
+    values = np.array([value for moment in moments for value in (*moment.mean_px, moment.ce90_px or 0.0)])
+    span, limits_px = (days.min(), days.max()), span_of(np.append(values, 0.0))
+    charts = [_chart(series, span, limits_px) for series in result.series]
     return (
         environment()
         .get_template("trend.html.j2")
@@ -131,45 +94,36 @@ def render(result: Trend, layout: TrendLayout = TREND_LAYOUT) -> str:
             result=result,
             charts=charts,
             risen=[chart for chart in charts if chart.risen],
-            ticks=[(f"{tick:g}".replace("-", "−"), y(tick)) for tick in ticks],
-            first=dates[0],
-            last=dates[-1],
-            size=(layout.width_px, layout.height_px),
-            plot=(left_px, right_px, bottom_px),
+            first=str(days.min()),
+            last=str(days.max()),
             dated_by_file=any(moment.dated_by == "file" for moment in moments),
         )
     )
 
 
-def nice_ticks(low: float, high: float) -> list[float]:
-    """Return four to eight round values from at or below `low` to at or above `high`."""
-    span = max(high - low, 0.1)
-    rough = span / 5
-    power = 10 ** math.floor(math.log10(rough))
-    step = power * min((1, 2, 5, 10), key=lambda factor: abs(factor * power - rough))
-    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
-    last = max(last, first + 1)
-    return [round(number * step, 6) for number in range(first, last + 1)]
-
-
-def has_risen(values: Sequence[float], factor: float = TREND_LAYOUT.risen_factor) -> bool:
+def has_risen(values: Sequence[float], factor: float = 1.5) -> bool:
     """Whether the last value is above all before it, and `factor` times above their median."""
     if len(values) < 4:
         return False
     return values[-1] > max(*values[:-1], factor * median(values[:-1]))
 
 
-def _chart(series: PairSeries, x: Axis, y: Axis, risen_factor: float) -> Chart:
-    at = [(x(seconds_of(moment.date)), moment) for moment in series.moments]
-    values = [moment.ce90_px for moment in series.moments if moment.ce90_px is not None]
+def _chart(
+    series: PairSeries, span: tuple[np.datetime64, np.datetime64], limits_px: tuple[float, float]
+) -> Chart:
+    moments = series.moments
+    values = [moment.ce90_px for moment in moments if moment.ce90_px is not None]
+    line = ErrorLine(
+        np.array([moment.date[:10] for moment in moments], "datetime64[D]"),
+        np.array([moment.mean_px for moment in moments]),
+        np.array([moment.ce90_px for moment in moments], np.float64),
+        span,
+        limits_px,
+    )
     return Chart(
         series=series,
-        lines={
-            "ce90": [(place, y(moment.ce90_px)) for place, moment in at if moment.ce90_px is not None],
-            "col": [(place, y(moment.mean_px[0])) for place, moment in at],
-            "row": [(place, y(moment.mean_px[1])) for place, moment in at],
-        },
-        ce90_latest=series.moments[-1].ce90_px,
+        picture=error_line_figure(line),
+        ce90_latest=moments[-1].ce90_px,
         ce90_median=median(values) if values else None,
-        risen=has_risen(values, risen_factor),
+        risen=has_risen(values),
     )
