@@ -23,6 +23,7 @@ from pcwlad_geo.errors import InputError, OutputError, RegistrationRejectedError
 from pcwlad_geo.events import Event, Progress
 from pcwlad_geo.multi.stack import pairs as stack_pairs
 from pcwlad_geo.multi.stack.adding import stack_add
+from pcwlad_geo.multi.stack.inputs import listed
 from pcwlad_geo.multi.stack.run import stack
 from pcwlad_geo.raster import Grid, transform_xy
 from tests.cluster import cluster
@@ -227,6 +228,14 @@ def test_masks_of_the_table_are_used(tmp_path: Path) -> None:
         tmp_path / "out/pairs/one__two/tiepoints.csv", delimiter=",", names=True, usecols=range(7)
     )
     assert points["tgt_col"].min() > 90
+
+
+def test_a_table_names_files_beside_it_and_uris_of_gdal(tmp_path: Path) -> None:
+    swath = 'NETCDF:"/data/a.nc":/geophysical_data/sst'
+    quoted = swath.replace('"', '""')
+    (tmp_path / "t.csv").write_text(f'image,name,mask\na.tif,,m.tif\n"{quoted}",sea,\n')
+    images = [(image.path, image.name, image.mask) for image in listed([tmp_path / "t.csv"], 1)]
+    assert images == [(str(tmp_path / "a.tif"), "a", str(tmp_path / "m.tif")), (swath, "sea", None)]
 
 
 def test_like_gives_all_images_another_grid(tmp_path: Path, matched_before: Placed) -> None:

@@ -178,13 +178,19 @@ def read_table(table: Path, columns: Iterable[str]) -> list[dict[str, str]]:
 def _of_row(row: Mapping[str, str], folder: Path, band: int | str) -> StackInput:
     fields: dict[str, Any] = {name: row.get(name) or None for name in ("name", "date", "series")}
     if row.get("mask"):
-        fields["mask"] = os.fspath(folder / row["mask"])
+        fields["mask"] = _beside(folder, row["mask"])
     for column in ("sun_elevation", "cloud"):
         if row.get(column):
             fields[column] = number_of(row, column)
     text = row.get("band") or ""
     row_band = whole(text) or text or band
-    return _named(os.fspath(folder / row["image"]), row_band, fields)
+    return _named(_beside(folder, row["image"]), row_band, fields)
+
+
+def _beside(folder: Path, name: str) -> str:
+    """Return what a table in a folder names: a path from there, or a GDAL URI."""
+    place = folder / name
+    return name if is_uri(name) and not place.exists() else os.fspath(place)
 
 
 def number_of(row: Mapping[str, str], column: str) -> float:
