@@ -19,7 +19,7 @@ from pcwlad_geo.registration.motions import other_displacement
 from pcwlad_geo.registration.scene.first_pass import FirstPass, warn_of_failures
 from pcwlad_geo.registration.scene.parameters import SceneContext
 from pcwlad_geo.registration.scene.recovery import retry_candidates
-from pcwlad_geo.registration.scene.window_choice import choose_windows
+from pcwlad_geo.registration.scene.windows import choose_windows
 from pcwlad_geo.registration.tiles import rematch_tile
 from pcwlad_geo.types import Bool, Float64, Index
 
