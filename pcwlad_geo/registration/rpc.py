@@ -140,7 +140,7 @@ def place_target(
     is_wanted = settings.dem is not None or settings.model == "rpc"
     if target.georeferenced and not is_wanted:
         if target.relief_m is not None:
-            return None, tuple(filter(None, [relief_note(target)]))
+            return None, tuple(filter(None, [relief_note(reference, target)]))
         return None, _unused_rpc(
             f"{target.uri} has a geotransform and an RPC: the RPC is not used; give --dem to use it",
             target.uri,
@@ -170,13 +170,18 @@ def place_target(
     return placement, placement.warnings
 
 
-def relief_note(info: RasterInfo, parameters: RpcParameters = RpcParameters()) -> str:
-    """Return what is said of a radar image of relief that is placed without DEM; empty of other rasters."""
-    by_heights_m = None if isinstance(info.grid, RpcGrid) else info.relief_m
-    if by_heights_m is None or by_heights_m < parameters.least_relief_m:
+def relief_note(
+    reference: RasterInfo, target: RasterInfo, parameters: RpcParameters = RpcParameters()
+) -> str:
+    """Return what is said of a radar image of relief that is placed without DEM; empty of other rasters.
+
+    Relief displaces bands of one product alike.
+    """
+    by_heights_m = None if isinstance(target.grid, RpcGrid) else target.relief_m
+    if by_heights_m is None or by_heights_m < parameters.least_relief_m or reference.relief_m is not None:
         return ""
     return (
-        f"the ground of the radar image {plain_uri(info.uri)} varies by {by_heights_m:.0f} m in height, "
+        f"the ground of the radar image {plain_uri(target.uri)} varies by {by_heights_m:.0f} m in height, "
         "which displaces it by as much and more: give --dem"
     )
 

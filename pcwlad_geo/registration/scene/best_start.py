@@ -52,7 +52,7 @@ def match_from_best_start(
     few_values = with_few_values(pair, overviews)
     reason = refusal(scene.decision, prealignment, georeferenced=pair.georeferenced, few_values=few_values)
     reason += note_of_sizes(pair) if searched else ""
-    note = relief_note(pair.target.info)
+    note = relief_note(pair.reference.info, pair.target.info)
     reason += f"; {note}" if note else ""
     return replace(scene, prealignment=prealignment, decision=scene.decision.refused(reason)), start.pair
 

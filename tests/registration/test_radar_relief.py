@@ -11,7 +11,9 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.job import match_files
-from pcwlad_geo.raster import WGS84, Grid, transform_xy
+from pcwlad_geo.options import Settings
+from pcwlad_geo.raster import WGS84, Grid, describe, transform_xy
+from pcwlad_geo.registration.rpc import place_target
 from tests.product_files import packed
 from tests.radar_scene import STEM, Array, Radar
 from tests.scenes import CRS_OF_SCENE, make_grid, render, write
@@ -61,6 +63,12 @@ def test_it_is_refused_without_dem(files: tuple[Path, Path, Path], tmp_path: Pat
     options = {"tgt_band": "VV", "out_dir": tmp_path / "out", **SMALL}
     with pytest.raises(RegistrationRejectedError, match=r"varies by 15\d\d m in height, .*: give --dem"):
         match_files(files[0], files[1], **options)  # type: ignore[arg-type]
+
+
+def test_bands_of_one_product_are_not_told_of_relief(files: tuple[Path, Path, Path]) -> None:
+    reference, image = describe(files[0]), describe(files[1] / "measurement" / f"{STEM}.tiff")
+    assert place_target(image, image, Settings()) == (None, ())
+    assert "give --dem" in place_target(reference, image, Settings())[1][0]
 
 
 def test_it_is_registered_with_dem(files: tuple[Path, Path, Path], tmp_path: Path) -> None:
