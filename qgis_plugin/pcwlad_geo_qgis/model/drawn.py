@@ -161,7 +161,9 @@ class Drawing:
         data.SetProjection(self.crs.toWkt())
         data.SetGeoTransform([self.box.xMinimum(), self.px, 0.0, self.box.yMaximum(), 0.0, -self.px])
         parts = self._parts()
-        for number, part in enumerate(parts, 1):
+        for number, (part, begins_block) in enumerate(parts, 1):
+            if begins_block:  # its tiles come at once, and QGIS keeps them
+                self._image(part, PART_PX, feedback)
             self._draw_part(data, part, feedback)
             feedback.setProgress(100 * number / len(parts))
             if feedback.isCanceled():
@@ -188,30 +190,22 @@ class Drawing:
                 data.SetMetadataItem(f"BASEMAP_{key}", value)
         return str(place)
 
-    def _parts(self) -> list[tuple[int, int]]:
-        """Return column and row where the parts begin that are drawn one after the other."""
+    def _parts(self) -> list[tuple[tuple[int, int], bool]]:
+        """Return column and row where the parts begin, and whether a block of tiles begins there."""
         col = row = 0
-        if self._tile_px():  # where tiles begin
+        side = self._side
+        if side < PART_PX:  # where tiles begin
             col = -(round((self.box.xMinimum() + WORLD_M / 2) / self.px) % TILE_PX)
             row = -(round((WORLD_M / 2 - self.box.yMaximum()) / self.px) % TILE_PX)
-        rows, columns = range(row, self.rows, self._side), range(col, self.columns, self._side)
-        return [(col, row) for row in rows for col in columns]
+        parts = [(x, y) for y in range(row, self.rows, side) for x in range(col, self.columns, side)]
+        parts.sort(key=lambda part: ((part[1] - row) // PART_PX, (part[0] - col) // PART_PX))
+        begins = [side < PART_PX and (x - col) % PART_PX == (y - row) % PART_PX == 0 for x, y in parts]
+        return list(zip(parts, begins))
 
     def _draw_part(self, data: gdal.Dataset, begin: tuple[int, int], feedback: core.QgsFeedback) -> None:
         """Draw a square part of the ground, and write what of it is in the raster."""
         side = self._side
-        x, y = self.box.xMinimum() + begin[0] * self.px, self.box.yMaximum() - begin[1] * self.px
-        square = core.QgsRectangle(x, y - side * self.px, x + side * self.px, y)
-        square.grow(HAIR_PX * self.px)
-        self._settings.setOutputSize(QSize(side, side))
-        self._settings.setExtent(square)
-        image = QImage(side, side, QImage.Format.Format_ARGB32_Premultiplied)
-        image.fill(0)
-        painter = QPainter(image)
-        job = core.QgsMapRendererCustomPainterJob(self._settings, painter)
-        feedback.canceled.connect(job.cancelWithoutBlocking, Qt.ConnectionType.DirectConnection)
-        job.renderSynchronously()
-        painter.end()
+        image = self._image(begin, side, feedback)
         col, row = (max(each, 0) for each in begin)
         width, height = min(begin[0] + side, self.columns) - col, min(begin[1] + side, self.rows) - row
         image = image.copy(col - begin[0], row - begin[1], width, height)
@@ -220,6 +214,25 @@ class Drawing:
         bits.setsize(line * height)
         steps = {"buf_pixel_space": 4, "buf_line_space": line, "buf_band_space": 1}
         data.WriteRaster(col, row, width, height, bytes(bits), **steps)
+
+    def _image(self, begin: tuple[int, int], side: int, feedback: core.QgsFeedback) -> QImage:
+        """Return a square of the ground, drawn; of a block what is part of the whole."""
+        width, height = side, side
+        if side > TILE_PX:
+            width, height = min(side, self.columns - begin[0]), min(side, self.rows - begin[1])
+        x, y = self.box.xMinimum() + begin[0] * self.px, self.box.yMaximum() - begin[1] * self.px
+        square = core.QgsRectangle(x, y - height * self.px, x + width * self.px, y)
+        square.grow(HAIR_PX * self.px)
+        self._settings.setOutputSize(QSize(width, height))
+        self._settings.setExtent(square)
+        image = QImage(width, height, QImage.Format.Format_ARGB32_Premultiplied)
+        image.fill(0)
+        painter = QPainter(image)
+        job = core.QgsMapRendererCustomPainterJob(self._settings, painter)
+        feedback.canceled.connect(job.cancelWithoutBlocking, Qt.ConnectionType.DirectConnection)
+        job.renderSynchronously()
+        painter.end()
+        return image
 
     @property
     def _side(self) -> int:
