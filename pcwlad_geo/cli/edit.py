@@ -63,7 +63,8 @@ def _open(folder: Path, *, allow_remote: bool = False, trust_vrt: bool = False) 
     from pcwlad_geo.raster import Bands
     from pcwlad_geo.registration import prepare_pair
     from pcwlad_geo.registration.editing import Editor
-    from pcwlad_geo.report.finished import ReadReport, read_report
+    from pcwlad_geo.report.finished import ReadReport
+    from pcwlad_geo.report.read_figures import read_report
 
     content = read_report(folder)
     if content.get("status") != "registered":

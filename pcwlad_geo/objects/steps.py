@@ -37,7 +37,8 @@ from pcwlad_geo.registration import (
 )
 from pcwlad_geo.registration.rpc import check_model
 from pcwlad_geo.report.correction_file import correction_file, is_correction_file
-from pcwlad_geo.report.finished import FinishedRegistration, of_file, read_registration, read_report
+from pcwlad_geo.report.finished import FinishedRegistration, of_file, read_registration
+from pcwlad_geo.report.read_figures import read_report
 from pcwlad_geo.requirements import parse_requirements
 from pcwlad_geo.text import read_json
 from pcwlad_geo.types import PathLike

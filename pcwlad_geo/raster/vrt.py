@@ -29,7 +29,7 @@ from pcwlad_geo.raster.trust.signing import unsigned
 _DROPPED_DOMAINS = frozenset(
     {"RPC", "GEOLOCATION", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "COLOR_PROFILE", "IMD"}
 )
-_PLACING = frozenset({"SRS", "GeoTransform", "GCPList"})
+_PLACE_ELEMENTS = frozenset({"SRS", "GeoTransform", "GCPList"})
 Tags = dict[str, dict[str, str]]
 
 
@@ -160,7 +160,7 @@ def describe_file(path: str | Path, final_path: Path) -> ET.Element:
 
 
 def _places(element: ET.Element) -> bool:
-    return element.tag in _PLACING or element.get("domain") == "GEOLOCATION"
+    return element.tag in _PLACE_ELEMENTS or element.get("domain") == "GEOLOCATION"
 
 
 def describe_pixels(source: DatasetReader, pixels: PixelFile, shape: tuple[int, int]) -> ET.Element:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 from affine import Affine
 from rasterio.crs import CRS
@@ -14,11 +14,10 @@ from rasterio.errors import CRSError
 
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.precision import Precision
-from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
-from pcwlad_geo.options import RUNNING, OutputGrid, Resampling, Settings
+from pcwlad_geo.options import OutputGrid, Resampling
 from pcwlad_geo.raster import (
     Dem,
     FileIdentity,
@@ -27,23 +26,17 @@ from pcwlad_geo.raster import (
     OutputFormat,
     describe,
     is_folder,
-    trusting,
 )
 from pcwlad_geo.raster.grid import is_invertible, linear_part
-from pcwlad_geo.raster.identity import same
 from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.registration import (
     CorrectedRpc,
-    Grade,
-    Inputs,
-    Motion,
     Registration,
     RegistrationStatus,
     RpcRegistration,
     requested_grid,
-    resolve,
 )
-from pcwlad_geo.registration.inputs import grid_request, identify_inputs
+from pcwlad_geo.registration.inputs import grid_request
 from pcwlad_geo.report.content import SCHEMA_VERSION, GridEntry, Report, RpcEntry
 from pcwlad_geo.report.correction_file import (
     CorrectionFile,
@@ -52,10 +45,11 @@ from pcwlad_geo.report.correction_file import (
     is_correction_file,
 )
 from pcwlad_geo.report.json_content import filled
-from pcwlad_geo.text import joined, mismatch, plain, read_json, typed
-
-REPORT_FILE = "report.json"
-"""Name of the file in an output folder that describes the registration."""
+from pcwlad_geo.report.read_figures import (
+    REPORT_FILE,
+    ReadRequirement,
+)
+from pcwlad_geo.text import joined, mismatch, read_json, typed
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +60,6 @@ class ReadRaster(GridEntry):
     """Path or GDAL URI."""
     ground: GridEntry | None = None
     """The grid onto which a reference with RPC is orthorectified; None for any other."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReadRequirement:
-    """A requirement as a report.json has it."""
-
-    met: bool
-    message: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,58 +95,6 @@ class ReadReport:
     output_grid: GridEntry | None = None
     rpc: RpcEntry | None = None
     inputs: tuple[FileIdentity, ...] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ReadAxes:
-    """A displacement as a report.json has it."""
-
-    median: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class ReadAccuracy:
-    """Residuals as a report.json has them."""
-
-    rmse: float
-    ce90: float
-
-
-@dataclass(frozen=True, slots=True)
-class ReadQuality:
-    """A quality as a report.json has it."""
-
-    grade: Grade
-    expected_ce90_px: float
-
-
-@dataclass(frozen=True, slots=True)
-class ReadCoverage:
-    """The coverage of a pair as a report.json has it."""
-
-    empty_share: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ReadFigures:
-    """The figures of a pair that are read back of a report.json; see `Report`."""
-
-    status: RegistrationStatus | None = None
-    reason: str | None = None
-    warnings: tuple[str, ...] = ()
-    passed: bool | None = None
-    requirements: tuple[ReadRequirement, ...] = ()
-    motions: tuple[Motion, ...] = ()
-    jitter_px: float = 0.0
-    window_px: int | None = None
-    tie_points: Mapping[str, int] = field(default_factory=dict)
-    displacement_px: ReadAxes | None = None
-    model: Mapping[str, object] | None = None
-    accuracy: Mapping[str, Mapping[str, ReadAccuracy | None]] = field(default_factory=dict)
-    quality: ReadQuality | None = None
-    coverage: ReadCoverage = ReadCoverage()
-    proof: Proof | None = None
-    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,62 +217,6 @@ def finished(registration: Registration) -> FinishedRegistration:
         rpc=None if rpc is None else _corrected_rpc(rpc, registration),
         inputs=tuple(file.identity for file in registration.inputs),
     )
-
-
-def read_report(out_dir: Path) -> dict[str, Any]:
-    """Return the report.json of a folder; an empty dict if there is none of this program."""
-    try:
-        report = read_json(out_dir / REPORT_FILE)
-    except (OSError, ValueError, InputError):
-        return {}
-    is_ours = isinstance(report, dict) and "schema_version" in report and "settings" in report
-    return report if is_ours and mismatch(report, Report) is None else {}
-
-
-def read_figures(out_dir: Path) -> ReadFigures | None:
-    """Return the figures of the report.json of a folder; None if there is none of this program."""
-    report = read_report(out_dir)
-    try:
-        return typed(report, ReadFigures) if report else None
-    except ValueError:  # of an earlier version
-        return None
-
-
-def report_of_same_job(
-    command: Literal["register", "match"], inputs: tuple[str, str], settings: Settings, out_dir: Path
-) -> ReadFigures | None:
-    """Return what a folder reports if the same job wrote it, on files unchanged since; else nothing."""
-    report, figures = read_report(out_dir), read_figures(out_dir)
-    finished_as = "registered" if command == "register" else "matched"
-    if figures is None or figures.status not in ("rejected", finished_as):
-        return None
-    try:
-        with trusting(settings.trust):
-            resolved = resolve(*inputs, settings, all_bands=command == "register")
-            if not _same_inputs(resolved, report):
-                return None
-    except InputError:  # the job itself will raise it
-        return None
-    reported = report["settings"] if isinstance(report["settings"], dict) else {}
-    before = {name: value for name, value in reported.items() if name not in RUNNING}
-    present = {name: value for name, value in asdict(resolved.settings).items() if name not in RUNNING}
-    if present["no_report"] and before.get("no_report") is False:  # there is a page, which does no harm
-        present |= {"no_report": False}
-    return figures if before == plain(present) else None
-
-
-def _same_inputs(inputs: Inputs, report: Mapping[str, Any]) -> bool:
-    """Whether a report is about these files, and none has changed since."""
-    try:
-        before = typed(report, ReadReport)
-    except ValueError:  # a damaged one
-        return False
-    if before.inputs is None or (before.reference.path, before.target.path) != (
-        inputs.reference,
-        inputs.target,
-    ):
-        return False
-    return same(before.inputs, [file.identity for file in identify_inputs(inputs)])
 
 
 def _corrected_rpc(rpc: RpcRegistration, registration: Registration) -> CorrectedRpc:

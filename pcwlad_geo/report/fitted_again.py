@@ -19,7 +19,8 @@ from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import Grid, is_folder, middle_pixel_size_m
 from pcwlad_geo.registration import Quality, Reason
 from pcwlad_geo.report.content import QualityEntry
-from pcwlad_geo.report.finished import FinishedRegistration, read_report
+from pcwlad_geo.report.finished import FinishedRegistration
+from pcwlad_geo.report.read_figures import read_report
 from pcwlad_geo.text import typed
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable

@@ -27,7 +27,7 @@ from pcwlad_geo.multi.batch.summary import PairOutcome, write_summary
 from pcwlad_geo.multi.batch.table import read_pairs
 from pcwlad_geo.outputs.places import HOST
 from pcwlad_geo.outputs.stages import stage_prefixes
-from pcwlad_geo.report.finished import read_report
+from pcwlad_geo.report.read_figures import read_report
 from tests.execution.calls import Counting
 from tests.patience import PATIENCE_S
 from tests.scenes import make_grid, render, write

@@ -32,7 +32,8 @@ from pcwlad_geo.products.finding import products_found_once
 from pcwlad_geo.products.unpacking import unpacked_places
 from pcwlad_geo.raster.gdal import explained
 from pcwlad_geo.registration import estimate_tile_count
-from pcwlad_geo.report.finished import ReadFigures, read_figures, report_of_same_job
+from pcwlad_geo.report.read_figures import ReadFigures, read_figures
+from pcwlad_geo.report.same_job import report_of_same_job
 from pcwlad_geo.text import joined
 from pcwlad_geo.types import PathLike
 

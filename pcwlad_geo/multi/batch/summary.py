@@ -13,7 +13,7 @@ from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.multi.batch.table import BatchPair
 from pcwlad_geo.outputs.places import HOST, disk_errors, make_folders, seal
 from pcwlad_geo.outputs.stages import of_dead_processes
-from pcwlad_geo.report.finished import ReadFigures, read_report
+from pcwlad_geo.report.read_figures import ReadFigures, read_report
 from pcwlad_geo.text import check_regular, csv_of
 
 SUMMARY: Final = "summary.csv"

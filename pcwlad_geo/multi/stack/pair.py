@@ -18,7 +18,7 @@ from pcwlad_geo.multi.stack.parameters import GRADING, GradeParameters
 from pcwlad_geo.registration import GOOD_PX, Grade, Motion, Reason, grade_of, grade_of_error
 from pcwlad_geo.registration.motions import describe_motions
 from pcwlad_geo.registration.quality import displaced_otherwise
-from pcwlad_geo.report.finished import ReadFigures
+from pcwlad_geo.report.read_figures import ReadFigures
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.types import Bool, Float64
 

@@ -27,7 +27,8 @@ from pcwlad_geo.raster import RpcGrid, middle_pixel_size_m
 from pcwlad_geo.registration import Reason, estimate_tile_count
 from pcwlad_geo.registration.frame_evidence import SAME_PIXELS
 from pcwlad_geo.registration.positions import position_conflict
-from pcwlad_geo.report.finished import REPORT_FILE, ReadFigures, read_figures, report_of_same_job
+from pcwlad_geo.report.read_figures import REPORT_FILE, ReadFigures, read_figures
+from pcwlad_geo.report.same_job import report_of_same_job
 from pcwlad_geo.text import joined
 from pcwlad_geo.tiepoints.format import PointFile
 from pcwlad_geo.tiepoints.readers import read_point_file
