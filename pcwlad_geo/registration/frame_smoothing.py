@@ -14,7 +14,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from pcwlad_geo.registration.frame_cleaning import CleanedPair, read_frames, with_frames
-from pcwlad_geo.registration.frame_marks import Frames
+from pcwlad_geo.registration.frame_marks import Frames, SpeckParameters, filled
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.types import Bool, Float32, Float64
 
@@ -48,24 +48,35 @@ class PatternParameters:
     that has moved by half a pixel; at most 1.3 of bands in place."""
     least_px: float = 0.3
     """Least displacement of the ground that the finest structure tells from none."""
+    drawn: tuple[float, float] = (0.15, 0.95)
+    """How far on the way from none to the displacement of the ground its tie points lie: of bands in place,
+    longer waves may lie half a pixel beside tie points that are right."""
+    aside_px: float = 0.3
+    """Largest distance of tie points from this way."""
     smooth_px: float = 2.5
     """Standard deviation of the filter that takes the pattern out: of 0.72 px of displacement 0.4 px were
     lost without it, 0.3 with 1 px, 0.08 with 2 px and 0.03 with 3 px."""
 
 
 def without_pattern(
-    pair: Pair, *, in_memory: bool, parameters: PatternParameters = PatternParameters()
+    pair: Pair,
+    points_px: Float64,
+    *,
+    in_memory: bool,
+    parameters: PatternParameters = PatternParameters(),
 ) -> CleanedPair | None:
-    """Return a pair without the pattern of single pixels that both frames have; None where they have none.
+    """Return a pair without the pattern of single pixels that draws its tie points; None where none does.
 
-    Asked of two rasters of the same grid, of which all may be read. The files of the smoothed frames are held
-    `in_memory`, where this process alone finds them. Raises `InputError` if one cannot be read.
+    The (2,) `points_px` are the median displacement (col, row) of the tie points, px. Asked of two rasters of
+    the same grid, of which all may be read. The files of the smoothed frames are held `in_memory`, where this
+    process alone finds them. Raises `InputError` if one cannot be read.
     """
     patches = read_frames(pair, parameters.most_px)
     if patches is None:
         return None
     one, other = (patch.values.astype(np.float32) for patch in patches)
-    if not _has_pattern(Frames(one, other, patches[0].valid & patches[1].valid), parameters):
+    ground_px = _ground_beside_pattern(Frames(one, other, patches[0].valid & patches[1].valid), parameters)
+    if ground_px is None or not _is_drawn(points_px, ground_px, parameters):
         return None
     smooth = [_smoothed(patch.values.astype(np.float32), patch.valid, parameters) for patch in patches]
     return with_frames(pair, smooth, NOTE, in_memory=in_memory)
@@ -77,8 +88,16 @@ def _smoothed(values: Float32, valid: Bool, parameters: PatternParameters) -> Fl
     return np.where(valid, blurred / np.maximum(weight, 1e-3), np.float32(np.nan))
 
 
-def _has_pattern(frames: Frames, parameters: PatternParameters) -> bool:
-    """Return whether the finest structure agrees at no displacement, and the ground at another."""
+def _is_drawn(points_px: Float64, ground_px: Float64, parameters: PatternParameters) -> bool:
+    """Return whether tie points lie on the way from no displacement to that of the ground."""
+    share = float(points_px @ ground_px) / float(ground_px @ ground_px)
+    aside_px = float(np.hypot(*(points_px - share * ground_px)))
+    least, most = parameters.drawn
+    return least <= share <= most and aside_px <= parameters.aside_px
+
+
+def _ground_beside_pattern(frames: Frames, parameters: PatternParameters) -> Float64 | None:
+    """Return the (2,) displacement of the ground where the finest structure agrees at none instead."""
     side = min(parameters.side_px, *frames.valid.shape) // 2 * 2
     top, left = ((length - side) // 2 for length in frames.valid.shape)
     middle = np.s_[top : top + side, left : left + side]
@@ -90,12 +109,12 @@ def _has_pattern(frames: Frames, parameters: PatternParameters) -> bool:
     shortest, longest = parameters.ground_px
     ground_px = _peak_px(crossed * (inner & (radius > 1 / longest) & (radius < 1 / shortest)), parameters)
     if ground_px is None or np.abs(ground_px).max() < parameters.least_px:
-        return False
+        return None
     fine = inner & (radius > 1 / parameters.finest_px) & (radius <= 0.5)
     at_ground = np.exp(2j * np.pi * (col * ground_px[0] + row * ground_px[1]))
     chance = np.sqrt(np.count_nonzero(fine) / 2)
     at_none, there = (abs(float(part[fine].real.sum())) / chance for part in (crossed, crossed * at_ground))
-    return bool(at_none > max(parameters.pattern_z, parameters.pattern_ratio * there))
+    return ground_px if at_none > max(parameters.pattern_z, parameters.pattern_ratio * there) else None
 
 
 def _peak_px(crossed: NDArray[np.complex64], parameters: PatternParameters) -> Float64 | None:
@@ -116,11 +135,14 @@ def _peak_px(crossed: NDArray[np.complex64], parameters: PatternParameters) -> F
 
 
 def _flat(values: Float32, valid: Bool) -> Float32:
-    """Return (side, side) values without shading and what whole rows or columns have, tapered."""
-    known = np.where(valid, values, np.median(values[valid]) if valid.any() else 0).astype(np.float32)
+    """Return (side, side) values without shading and what whole rows or columns have, tapered.
+
+    Invalid pixels are filled from around them, or their outlines would agree in both images.
+    """
+    known = filled(values, ~valid, SpeckParameters()) if valid.any() else np.zeros_like(values)
     flat = known - cv2.GaussianBlur(known, (0, 0), 12)
-    flat = (flat - flat.mean(axis=0)) * valid
-    flat = (flat - flat.mean(axis=1)[:, None]) * valid
+    flat -= flat.mean(axis=0)
+    flat -= flat.mean(axis=1)[:, None]
     taper = np.hanning(len(flat)).astype(np.float32)
     flat = np.clip(flat / max(float(flat.std()), 1e-9), -4, 4)
     return np.asarray(flat * taper[:, None] * taper, np.float32)

@@ -99,7 +99,9 @@ def _of_ground(pair: Pair, log: JobLog, runner: Runner, parameters: PairParamete
     matches = _matched_as(cleaned, pair, log, runner, parameters)
     if not matches.accepted or any(doubt.grade == "poor" for doubt in matches.decision.doubts):
         return matches
-    smooth = without_pattern(cleaned.pair if cleaned else pair, in_memory=runner.shares_memory)
+    points_px = np.median(matches.tie_points.select("matched").displacement_px, axis=0)
+    frames = cleaned.pair if cleaned else pair
+    smooth = without_pattern(frames, points_px, in_memory=runner.shares_memory)
     of_ground = _matched_as(smooth, pair, log, runner, parameters) if smooth else matches
     return of_ground if of_ground.accepted else matches
 

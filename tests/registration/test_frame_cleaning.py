@@ -119,7 +119,8 @@ def test_only_a_pattern_beside_ground_that_has_moved_is_smoothed(
     tmp_path: Path, seen: Callable[[Array], Array], moved_px: tuple[float, float]
 ) -> None:
     pair = pair_of(tmp_path, seen(ground((0, 0), 1)), seen(ground(moved_px, 2)))
-    is_smoothed = without_pattern(pair, in_memory=True) is not None
+    points_px = 0.5 * np.array(moved_px)
+    is_smoothed = without_pattern(pair, points_px, in_memory=True) is not None
     assert is_smoothed == (seen is patterned and moved_px != (0.0, 0.0))
 
 
@@ -133,7 +134,10 @@ def test_smoothed_frames_keep_what_is_invalid(tmp_path: Path) -> None:
         write(tmp_path / f"{n}.tif", values.astype("uint8"), None, dtype="uint8", nodata=0)
         for n, values in enumerate(frames)
     ]
-    smooth = without_pattern(prepare_pair(*paths, Settings(jobs=1)), in_memory=True)
+    pair, points_px = prepare_pair(*paths, Settings(jobs=1)), 0.5 * np.array(MOVED_PX)
+    assert without_pattern(pair, 0 * points_px, in_memory=True) is None
+    assert without_pattern(pair, np.array(MOVED_PX), in_memory=True) is None
+    smooth = without_pattern(pair, points_px, in_memory=True)
     assert smooth is not None
     info = smooth.pair.reference
     patch = View(info, info.grid, "none").read(Window.whole(SHAPE))
