@@ -32,8 +32,10 @@ class JitterParameters:
     """Longer residuals, in the median of all, are cut to that."""
     least_pairs: int = 50
     """Least number of pairs of windows of the same rows."""
-    clear_errors: float = 5.0
-    """Standard errors from which what they share is jitter; without any it was 3 at most."""
+    band_px: float = 16.0
+    """Width of bands of rows that are independent of each other."""
+    clear_errors: float = 3.0
+    """Standard errors from which what they share is jitter."""
 
 
 JITTER: Final = JitterParameters()
@@ -100,5 +102,9 @@ def _shared(xy_px: Float64, difference_px: Float64, across: int) -> float:
     if len(first) < JITTER.least_pairs:
         return 0.0
     product = (residual[first] * residual[second]).sum(axis=1)
-    error = float(np.sqrt((product**2).mean() / len(product)))
+    # windows of nearby rows see the same pixels: only sums of rows farther apart are independent
+    band = np.floor(xy_px[finite][first, across] / JITTER.band_px)
+    _, of_band = np.unique(band, return_inverse=True)
+    sums = np.bincount(of_band, product - product.mean())
+    error = float(np.sqrt((sums**2).sum())) / len(product)
     return float(np.sqrt(product.mean())) if product.mean() > JITTER.clear_errors * error else 0.0

@@ -65,7 +65,7 @@ def test_noise_a_tilt_and_a_few_wrong_windows_are_no_jitter() -> None:
     [
         pytest.param(0.0, "good", marks=pytest.mark.slow),
         pytest.param(0.3, "good", marks=pytest.mark.slow),
-        (0.9, "poor"),
+        (0.9, "fair"),
     ],
 )
 def test_a_pair_expects_the_error_of_jitter_that_its_windows_average_out(
