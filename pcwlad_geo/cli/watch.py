@@ -53,7 +53,7 @@ def watch(
     apply: Apply = False,
     require: WatchRequire = None,
 ) -> None:
-    """Find steps, drifts and moving ground in a finished stack, or plot the figures of reports over time."""
+    """Find what moves in a finished stack, or plot reports over time."""
     params = context.params
     run_guarded(params, lambda on_event: _watch(params, on_event), lambda: _abandon_watch(params))
 

@@ -7,11 +7,13 @@ that has moved by a few pixels. They are left out before the matching.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.plausible import ALL_VALUES
 from pcwlad_geo.raster import Grid, Patch, RasterInfo, View, ViewPair, Window
 from pcwlad_geo.raster.raster import Raster
@@ -44,6 +46,8 @@ class CleaningParameters:
     stripes cross all of them: ground is another one in the other half."""
     beside: float = 0.7
     """Largest ratio of their correlation at other displacements to that at none."""
+    least_step: float = 0.5
+    """Least standard deviation of stripes of whole numbers: what is less comes from rounding."""
     outlying: float = 4.0
     """Deviations from around, in their mean, beyond which pixels are cut to that."""
     most_rows: int = 256
@@ -71,8 +75,8 @@ def without_marks(
 ) -> CleanedPair | None:
     """Return a pair without what stands still in both frames; None where nothing does.
 
-    Asked of two rasters of the same grid, of which all may be read. The files of the cleaned frames are held
-    `in_memory`, where this process alone finds them. Raises `InputError` if one cannot be read.
+    Asked of two rasters of the same grid, of which all can be read. The files of the cleaned frames are held
+    `in_memory`, where this process alone finds them.
     """
     patches = read_frames(pair, parameters.most_px)
     if patches is None:
@@ -81,7 +85,15 @@ def without_marks(
     frames = Frames(one.values.astype(np.float32), other.values.astype(np.float32), one.valid & other.valid)
     marks = _marks(frames, parameters)
     profiles = {axis: _stripes(frames, marks, axis, parameters) for axis in (0, 1)}
-    stripes = {axis: shared for axis, shared in profiles.items() if shared is not None}
+    steps = [
+        parameters.least_step if np.issubdtype(info.dtype, np.integer) else 0.0
+        for info in (pair.reference, pair.target)
+    ]
+    stripes = {
+        axis: shared
+        for axis, shared in profiles.items()
+        if shared and all(part.std() >= step for part, step in zip(shared, steps, strict=True))
+    }
     if not marks.any() and not stripes:
         return None
     cleaned = []
@@ -95,16 +107,16 @@ def without_marks(
 
 
 def read_frames(pair: Pair, most_px: int) -> tuple[Patch, Patch] | None:
-    """Return the pixels of two files of the same grid; None of others, or where not all may be read.
-
-    Raises `InputError` if one cannot be read.
-    """
+    """Return the pixels of two files of the same grid; None of others, or where not all can be read."""
     reference, target = pair.reference, pair.target
     same = type(reference.grid) is Grid and reference.grid == target.grid and reference.uri != target.uri
     if not same or pair.settings.extent is not None or np.prod(reference.grid.shape) > most_px:
         return None
     whole = Window.whole(reference.grid.shape)
-    return View(reference, reference.grid, "none").read(whole), View(target, target.grid, "none").read(whole)
+    with suppress(InputError):  # the matching tells which parts cannot be read
+        one, other = (View(info, info.grid, "none").read(whole) for info in (reference, target))
+        return one, other
+    return None
 
 
 def with_frames(pair: Pair, frames: Sequence[Float32], note: str, *, in_memory: bool) -> CleanedPair:
@@ -139,7 +151,10 @@ def _note(share: float, axes: list[int]) -> str:
 
 
 def _of_file(info: RasterInfo, uri: str) -> RasterInfo:
-    """Return the description of a cleaned frame, whose invalid pixels are NaN."""
+    """Return the description of a cleaned frame, whose invalid pixels are NaN.
+
+    Its data type stays that of the file, as its values were rounded to that.
+    """
     plain = replace(info, uri=uri, band=1, band_count=1, dtype="float32", nodata=None, several=None)
     plain = replace(plain, mask_uri=None, mask_grid=None, areas=None, brightness=None, collar=None)
     return replace(plain, fills=(), limits=ALL_VALUES, content="")

@@ -68,8 +68,8 @@ def without_pattern(
     """Return a pair without the pattern of single pixels that draws its tie points; None where none does.
 
     The (2,) `points_px` are the median displacement (col, row) of the tie points, px. Asked of two rasters of
-    the same grid, of which all may be read. The files of the smoothed frames are held `in_memory`, where this
-    process alone finds them. Raises `InputError` if one cannot be read.
+    the same grid, of which all can be read. The files of the smoothed frames are held `in_memory`, where this
+    process alone finds them.
     """
     patches = read_frames(pair, parameters.most_px)
     if patches is None:
