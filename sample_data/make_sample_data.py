@@ -253,6 +253,10 @@ def write_band(folder: Path, band: Band, image: npt.NDArray[np.uint16], window: 
     path = folder / band.file_name
     rows, cols = window or _whole(band)
     x_m, y_m = band.origin_xy_m
+    # parts go with the package, and one strip is smaller than tiles with their padding
+    blocks: dict[str, int | bool] = {"tiled": True, "blockxsize": 256, "blockysize": 256}
+    if window:
+        blocks = {"blockysize": rows.stop - rows.start}
     with rasterio.open(
         path,
         "w",
@@ -267,9 +271,7 @@ def write_band(folder: Path, band: Band, image: npt.NDArray[np.uint16], window: 
         compress="deflate",
         predictor=2,
         zlevel=9,
-        tiled=True,
-        blockxsize=256,
-        blockysize=256,
+        **blocks,
     ) as file:
         file.write(image[rows, cols], 1)
         file.set_band_description(1, band.description)
