@@ -46,6 +46,8 @@ class CleaningParameters:
     stripes cross all of them: ground is another one in the other half."""
     beside: float = 0.7
     """Largest ratio of their correlation at other displacements to that at none."""
+    reach_px: int = 12
+    """Largest of these displacements."""
     least_step: float = 0.5
     """Least standard deviation of stripes of whole numbers: what is less comes from rounding."""
     outlying: float = 4.0
@@ -54,8 +56,6 @@ class CleaningParameters:
     """Largest number of rows, spread over an image, in which stripes are looked for."""
     least_valid: float = 0.1
     """Least share of a column or row that is valid, where its mean counts."""
-    reach_px: int = 12
-    """Largest of these displacements."""
     specks: SpeckParameters = field(default_factory=SpeckParameters)
     """Those of marks."""
 
@@ -78,11 +78,10 @@ def without_marks(
     Asked of two rasters of the same grid, of which all can be read. The files of the cleaned frames are held
     `in_memory`, where this process alone finds them.
     """
-    patches = read_frames(pair, parameters.most_px)
+    patches = read_frames(pair, parameters)
     if patches is None:
         return None
-    one, other = patches
-    frames = Frames(one.values.astype(np.float32), other.values.astype(np.float32), one.valid & other.valid)
+    frames = frames_of(*patches)
     marks = _marks(frames, parameters)
     profiles = {axis: _stripes(frames, marks, axis, parameters) for axis in (0, 1)}
     steps = [
@@ -97,26 +96,33 @@ def without_marks(
     if not marks.any() and not stripes:
         return None
     cleaned = []
-    for number, patch in enumerate(patches):
-        values = patch.values.astype(np.float32)
+    for number, (patch, values) in enumerate(zip(patches, frames[:2], strict=True)):
         for axis, shared in stripes.items():
             values -= np.expand_dims(shared[number], axis)
-        values[~patch.valid] = np.nan
-        cleaned.append(_unmarked(values, marks, parameters))
+        cleaned.append(_unmarked(np.where(patch.valid, values, np.float32(np.nan)), marks, parameters))
     return with_frames(pair, cleaned, _note(float(marks.mean()), list(stripes)), in_memory=in_memory)
 
 
-def read_frames(pair: Pair, most_px: int) -> tuple[Patch, Patch] | None:
+def read_frames(
+    pair: Pair, parameters: CleaningParameters = CleaningParameters()
+) -> tuple[Patch, Patch] | None:
     """Return the pixels of two files of the same grid; None of others, or where not all can be read."""
     reference, target = pair.reference, pair.target
     same = type(reference.grid) is Grid and reference.grid == target.grid and reference.uri != target.uri
-    if not same or pair.settings.extent is not None or np.prod(reference.grid.shape) > most_px:
+    if not same or pair.settings.extent is not None or np.prod(reference.grid.shape) > parameters.most_px:
         return None
     whole = Window.whole(reference.grid.shape)
     with suppress(InputError):  # the matching tells which parts cannot be read
         one, other = (View(info, info.grid, "none").read(whole) for info in (reference, target))
         return one, other
     return None
+
+
+def frames_of(one: Patch, other: Patch) -> Frames:
+    """Return the values of both frames, `one` and the `other`, and the pixels that are valid in both."""
+    return Frames(
+        np.array(one.values, np.float32), np.array(other.values, np.float32), one.valid & other.valid
+    )
 
 
 def with_frames(pair: Pair, frames: Sequence[Float32], note: str, *, in_memory: bool) -> CleanedPair:
@@ -126,7 +132,8 @@ def with_frames(pair: Pair, frames: Sequence[Float32], note: str, *, in_memory: 
         ("reference", "target"), (pair.reference, pair.target), frames, strict=True
     ):
         infos.append(_of_file(info, scratch.file_of(Raster(values, info.grid), name)))
-    return CleanedPair(_with(pair, *infos), note, scratch)
+    cleaned = replace(pair, reference=infos[0], target=infos[1], views=with_infos(pair.views, *infos))
+    return CleanedPair(cleaned, note, scratch)
 
 
 def _unmarked(values: Float32, marks: Bool, parameters: CleaningParameters) -> Float32:
@@ -151,19 +158,10 @@ def _note(share: float, axes: list[int]) -> str:
 
 
 def _of_file(info: RasterInfo, uri: str) -> RasterInfo:
-    """Return the description of a cleaned frame, whose invalid pixels are NaN.
-
-    Its data type stays that of the file, as its values were rounded to that.
-    """
+    """Return the description of a cleaned frame, whose invalid pixels are NaN."""
     plain = replace(info, uri=uri, band=1, band_count=1, dtype="float32", nodata=None, several=None)
     plain = replace(plain, mask_uri=None, mask_grid=None, areas=None, brightness=None, collar=None)
     return replace(plain, fills=(), limits=ALL_VALUES, content="")
-
-
-def _with(pair: Pair, reference: RasterInfo, target: RasterInfo) -> Pair:
-    """Return a pair of these rasters on the same views."""
-    views = with_infos(pair.views, reference, target)
-    return replace(pair, reference=reference, target=target, views=views)
 
 
 def with_infos(views: ViewPair, reference: RasterInfo, target: RasterInfo) -> ViewPair:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from pcwlad_geo.registration.frame_cleaning import CleanedPair, read_frames, with_frames
+from pcwlad_geo.registration.frame_cleaning import CleanedPair, frames_of, read_frames, with_frames
 from pcwlad_geo.registration.frame_marks import Frames, SpeckParameters, filled
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.types import Bool, Float32, Float64
@@ -26,8 +26,6 @@ NOTE = "the matching leaves out what single pixels of both frames have in common
 class PatternParameters:
     """How a pattern of single pixels is told from ground, and taken out."""
 
-    most_px: int = 2**24
-    """Largest number of pixels of a frame."""
     side_px: int = 512
     """Side of the part in the middle that is asked."""
     finest_px: float = 2.8
@@ -71,14 +69,20 @@ def without_pattern(
     the same grid, of which all can be read. The files of the smoothed frames are held `in_memory`, where this
     process alone finds them.
     """
-    patches = read_frames(pair, parameters.most_px)
+    drawn, distance_px = parameters.drawn, float(np.hypot(*points_px))
+    farthest_px = drawn[1] * np.sqrt(2) * (parameters.reach_px + 1) + parameters.aside_px
+    if not drawn[0] * parameters.least_px <= distance_px <= farthest_px:
+        return None  # wherever the ground is, they are not on the way to it
+    patches = read_frames(pair)
     if patches is None:
         return None
-    one, other = (patch.values.astype(np.float32) for patch in patches)
-    ground_px = _ground_beside_pattern(Frames(one, other, patches[0].valid & patches[1].valid), parameters)
+    frames = frames_of(*patches)
+    ground_px = _ground_beside_pattern(frames, parameters)
     if ground_px is None or not _is_drawn(points_px, ground_px, parameters):
         return None
-    smooth = [_smoothed(patch.values.astype(np.float32), patch.valid, parameters) for patch in patches]
+    smooth = [
+        _smoothed(values, patch.valid, parameters) for values, patch in zip(frames[:2], patches, strict=True)
+    ]
     return with_frames(pair, smooth, NOTE, in_memory=in_memory)
 
 
