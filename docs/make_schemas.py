@@ -2,7 +2,8 @@
 
     python docs/make_schemas.py
 
-Types become types, docstrings of classes and fields descriptions, and pairs in `Annotated` keywords.
+Types become types, docstrings of classes and fields descriptions, and pairs and bounds in `Annotated`
+keywords.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
+from pydantic.fields import FieldInfo
+
 from pcwlad_geo.multi.qa.numbers import QaNumbers
 from pcwlad_geo.multi.stack.numbers import StackNumbers
 from pcwlad_geo.multi.watch.numbers import WatchNumbers
@@ -24,6 +27,7 @@ from pcwlad_geo.options import OPTIONS, Settings
 from pcwlad_geo.raster import RpcModel
 from pcwlad_geo.registration import Prealignment
 from pcwlad_geo.report import content, correction_file
+from pcwlad_geo.rigs.rig_file import LensEntry, RigLensEntry, RigNumbers
 
 FOLDER: Final = Path(__file__).resolve().parent
 ROOTS: Final = {
@@ -31,6 +35,7 @@ ROOTS: Final = {
     "stack": ("stack.json of pcwlad-geo stack", StackNumbers),
     "qa": ("qa.json of pcwlad-geo qa", QaNumbers),
     "watch": ("watch.json of pcwlad-geo watch", WatchNumbers),
+    "rig": ("RIG.json of pcwlad-geo rig learn", RigNumbers),
     "proof": ("proof.json of pcwlad-geo prove", content.ProofNumbers),
     "correction": ("The file of a saved correction", correction_file.CorrectionFile),
 }
@@ -47,8 +52,16 @@ OPEN: Final = {
     RpcModel,
     Settings,
     StackNumbers,
+    LensEntry,
+    RigLensEntry,
+    RigNumbers,
 }
 """Classes whose objects may have further keys."""
+KEYWORDS: Final = {
+    "ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum",
+    "min_length": "minItems", "max_length": "maxItems",
+}  # fmt: skip
+"""Keywords of the bounds of numbers and lists, by their names in a `Field`."""
 NAMES: Final = {str: "string", Path: "string", bool: "boolean", int: "integer", float: "number"}
 """Types of JSON by those of Python."""
 
@@ -115,9 +128,10 @@ def of_type(hint: Any, classes: dict[str, Schema]) -> Schema:  # noqa: ANN401
     """Return the schema of a type."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return of_type(arguments[0], classes) | dict(
-            each for each in arguments[1:] if isinstance(each, tuple)
-        )
+        schema = of_type(arguments[0], classes)
+        for note in arguments[1:]:
+            schema |= dict([note]) if isinstance(note, tuple) else bounds(note)
+        return schema
     if origin is Literal:
         return {"const": arguments[0]} if len(arguments) == 1 else {"enum": list(arguments)}
     if origin in (Union, types.UnionType):
@@ -141,6 +155,16 @@ def of_type(hint: Any, classes: dict[str, Schema]) -> Schema:  # noqa: ANN401
     if hint is object:
         return {}
     return refer(hint, classes) if is_dataclass(hint) else {"type": NAMES[hint]}
+
+
+def bounds(note: FieldInfo) -> Schema:
+    """Return the keywords of the bounds that a type is read back by."""
+    return {
+        keyword: getattr(bound, name)
+        for bound in note.metadata
+        for name, keyword in KEYWORDS.items()
+        if hasattr(bound, name)
+    }
 
 
 def union(parts: list[Schema]) -> Schema:

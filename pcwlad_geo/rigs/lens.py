@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -77,23 +76,6 @@ class Lens:
         if good.sum() < 4:  # a homography fits fewer exactly
             return np.empty((0, 2))
         return homography_residual(places[good], projected[good])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the lens as JSON values."""
-        values = {name: float(value) for name, value in zip(LENS_PARAMETERS, self.vector, strict=True)}
-        return {"model": self.model, "rows": self.shape[0], "cols": self.shape[1], **values}
-
-    @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> Lens:
-        """Return the lens that `to_dict` has written; raises `KeyError`, `TypeError` or `ValueError`."""
-        vector = np.array([float(values[name]) for name in LENS_PARAMETERS])
-        model = values["model"]
-        rows, cols = int(values["rows"]), int(values["cols"])
-        if model not in ("brown", "fisheye") or not np.isfinite(vector).all() or vector[0] <= 0:
-            raise ValueError(f"no lens: {model}, {vector}")
-        if not 1 <= min(rows, cols) <= max(rows, cols) <= LENS.max_side_px:
-            raise ValueError(f"no frame has {cols} x {rows} px")
-        return Lens(model, (rows, cols), vector)
 
 
 def lattice(shape: tuple[int, int], step: int) -> Float64:

@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import cv2
 import numpy as np
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.registration import Grade, grade_of_error
+from pcwlad_geo.report.json_content import filled
 from pcwlad_geo.rigs.inspection import Sharpness
 from pcwlad_geo.rigs.lens import LENS_PARAMETERS, Lens, lattice
 from pcwlad_geo.rigs.parameters import CAPTURE
-from pcwlad_geo.text import read_json
+from pcwlad_geo.rigs.rig_file import (
+    CalibrationDifference,
+    LensEntry,
+    MappingSigma,
+    RigLensEntry,
+    RigNumbers,
+)
+from pcwlad_geo.text import joined, mismatch, plain, read_json, typed
 from pcwlad_geo.types import Float64, PathLike
 
 SCHEMA_VERSION: Final = 1
 """Version of the format of RIG.json."""
 POSE_PARAMETERS: Final = ("rotation_x", "rotation_y", "rotation_z", "baseline_x", "baseline_y", "baseline_z")
 """Pose of a lens relative to the reference: rotation vector, rad, and baseline over the mean distance."""
-RIG_FIELDS: Final = (
-    "distance_m", "inverse_depth", "tilt", "drift_px", "captures", "points", "residual_px", "quality",
-    "expected_ce90_px", "seconds",
-)  # fmt: skip
-"""Attributes of `Rig` that RIG.json has under the same names."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,98 +155,62 @@ class Rig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of RIG.json."""
-        return {
-            "schema_version": SCHEMA_VERSION,
-            "kind": "pcwlad-geo rig",
-            "camera": self.camera,
-            "reference": self.reference.name,
-            **{name: getattr(self, name) for name in RIG_FIELDS},
-            "inverse_depth": list(self.inverse_depth),
-            "lenses": [_lens_json(lens) for lens in self.lenses],
-        }
+        numbers = filled(
+            RigNumbers,
+            self,
+            schema_version=SCHEMA_VERSION,
+            kind="pcwlad-geo rig",
+            reference=self.reference.name,
+            lenses=tuple(_entry(lens) for lens in self.lenses),
+        )
+        return cast(dict[str, Any], plain(numbers))
 
     def write(self, path: Path) -> None:
         """Write RIG.json."""
         path.write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
 
     @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> Rig:
-        """Return the rig that `to_dict` has written; raises `KeyError`, `TypeError` or `ValueError`."""
-        if values["kind"] != "pcwlad-geo rig" or int(values["schema_version"]) != SCHEMA_VERSION:
-            raise ValueError("no rig of this version")
-        lenses = tuple(_lens_from(entry) for entry in values["lenses"])
-        if not 2 <= len(lenses) <= 16 or len({lens.name for lens in lenses}) != len(lenses):
-            raise ValueError("no two lenses")
-        low, high = (float(number) for number in values["inverse_depth"])
-        numbers = {name: float(values[name]) for name in ("tilt", "drift_px", "residual_px", "seconds")}
-        if not 0 < low <= high < 1e6 or not all(map(math.isfinite, numbers.values())):
-            raise ValueError("no distances")
-        metres, expected = values["distance_m"], values.get("expected_ce90_px")
-        return Rig(
-            lenses=lenses,
-            camera=str(values["camera"]),
-            distance_m=None if metres is None else float(metres),
-            inverse_depth=(low, high),
-            captures=int(values["captures"]),
-            points=int(values["points"]),
-            expected_ce90_px=None if expected is None else float(expected),
-            **numbers,
-        )
-
-    @staticmethod
     def read(path: PathLike) -> Rig:
         """Read RIG.json; raises `InputError` if it is none."""
         try:
-            return Rig.from_dict(read_json(Path(path)))
+            content = read_json(Path(path))
+            if (wrong := mismatch(content, RigNumbers)) is not None:
+                raise ValueError(wrong)
+            numbers = typed(content, RigNumbers)
+            return filled(Rig, numbers, lenses=tuple(map(_lens, numbers.lenses)))
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        except (LookupError, ValueError) as error:
             raise InputError(
-                f"{path} is no rig of pcwlad-geo ({str(error)[:80]}): make one with pcwlad-geo rig learn"
+                f"{path} is no rig of pcwlad-geo ({joined(error)[:80]}): make one with pcwlad-geo rig learn"
             ) from error
 
 
-def _lens_json(lens: RigLens) -> dict[str, Any]:
+def _entry(lens: RigLens) -> RigLensEntry:
     off = lens.off_by_px()
-    return {
-        "name": lens.name,
-        "wavelength_nm": None if lens.wavelength_nm is None else list(lens.wavelength_nm),
-        **lens.lens.to_dict(),
-        "rotation_rad": lens.rotation.tolist(),
-        "baseline": lens.baseline.tolist(),
-        "sigma": dict(zip(LENS_PARAMETERS + POSE_PARAMETERS, lens.sigma.tolist(), strict=True)),
-        "mapping_sigma_px": {"median": lens.mapping_sigma_px[0], "largest": lens.mapping_sigma_px[1]},
-        "distortion_sigma_px": lens.distortion_sigma_px,
-        "calibrated": None if lens.calibrated is None else lens.calibrated.to_dict(),
-        "calibration_difference_px": None if off is None else {"rms": off[0], "largest": off[1]},
-        "detail": lens.sharpness.detail,
-        "contrast": lens.sharpness.contrast,
-    }
-
-
-def _lens_from(values: Mapping[str, Any]) -> RigLens:
-    lens, wavelength, calibrated = Lens.from_dict(values), values["wavelength_nm"], values["calibrated"]
-    sigma = np.array([float(number) for number in values["sigma"].values()])
-    rotation, baseline = (_triple(values[name]) for name in ("rotation_rad", "baseline"))
-    if sigma.shape != (14,) or not np.isfinite(sigma).all():
-        raise ValueError("no sigmas")
-    pair = values["mapping_sigma_px"]
-    return RigLens(
-        name=str(values["name"]),
-        lens=lens,
-        rotation=rotation,
-        baseline=baseline,
-        sigma=sigma,
-        mapping_sigma_px=(float(pair["median"]), float(pair["largest"])),
-        distortion_sigma_px=float(values["distortion_sigma_px"]),
-        calibrated=None if calibrated is None else Lens.from_dict(calibrated),
-        sharpness=Sharpness(float(values["detail"]), float(values["contrast"])),
-        wavelength_nm=None if wavelength is None else (float(wavelength[0]), float(wavelength[1])),
+    return filled(
+        RigLensEntry,
+        LensEntry.of(lens.lens),
+        lens,
+        lens.sharpness,
+        rotation_rad=lens.rotation,
+        sigma=dict(zip(LENS_PARAMETERS + POSE_PARAMETERS, lens.sigma.tolist(), strict=True)),
+        mapping_sigma_px=MappingSigma(*lens.mapping_sigma_px),
+        calibrated=None if lens.calibrated is None else LensEntry.of(lens.calibrated),
+        calibration_difference_px=None if off is None else CalibrationDifference(*off),
     )
 
 
-def _triple(values: Sequence[float]) -> Float64:
-    triple = np.array([float(number) for number in values])
-    if triple.shape != (3,) or not np.isfinite(triple).all():
-        raise ValueError("no vector")
-    return triple
+def _lens(entry: RigLensEntry) -> RigLens:
+    sigma = entry.mapping_sigma_px
+    return filled(
+        RigLens,
+        entry,
+        lens=entry.lens(),
+        rotation=np.array(entry.rotation_rad),
+        baseline=np.array(entry.baseline),
+        sigma=np.array([entry.sigma[name] for name in LENS_PARAMETERS + POSE_PARAMETERS]),
+        mapping_sigma_px=(sigma.median, sigma.largest),
+        calibrated=None if entry.calibrated is None else entry.calibrated.lens(),
+        sharpness=Sharpness(entry.detail, entry.contrast),
+    )

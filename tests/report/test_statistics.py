@@ -97,7 +97,7 @@ def test_the_json_is_what_its_schema_says(registration: Make, status: str, n: in
         jsonschema.validate(report | {"statistics": {**report["statistics"], "before": {}}}, schema)
 
 
-@pytest.mark.parametrize("name", ["report", "stack", "qa"])
+@pytest.mark.parametrize("name", ["report", "stack", "qa", "rig"])
 def test_the_published_schema_is_made_from_the_types(name: str) -> None:
     made = runpy.run_path(str(SCHEMA.with_name("make_schemas.py")))
     published = SCHEMA.with_name(f"{name}.schema.json").read_text(encoding="utf-8")

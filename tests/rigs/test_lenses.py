@@ -9,6 +9,8 @@ import pytest
 
 from pcwlad_geo.rigs.calibration import stated_lens
 from pcwlad_geo.rigs.lens import Lens, homography_residual, lattice
+from pcwlad_geo.rigs.rig_file import LensEntry
+from pcwlad_geo.text import plain, typed
 
 SHAPE = (480, 640)
 BROWN = Lens("brown", SHAPE, np.array([720.0, 315.0, 246.0, -0.1, 0.14, -0.02, 4e-4, -3e-4]))
@@ -61,12 +63,13 @@ def test_homography_residual_is_zero_for_a_homography() -> None:
 
 
 def test_lens_goes_to_json_and_back() -> None:
-    again = Lens.from_dict(FISHEYE.to_dict())
+    entry = LensEntry.of(FISHEYE)
+    again = typed(plain(entry), LensEntry).lens()
     assert again.model == "fisheye"
     assert again.shape == SHAPE
     assert again.vector == pytest.approx(FISHEYE.vector, abs=0)
-    with pytest.raises(ValueError, match="no lens"):
-        Lens.from_dict({**FISHEYE.to_dict(), "focal_px": float("nan")})
+    with pytest.raises(ValueError, match="focal_px"):
+        typed(plain(replace(entry, focal_px=float("nan"))), LensEntry)
 
 
 def test_micasense_calibration_is_read() -> None:
