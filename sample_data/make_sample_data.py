@@ -37,6 +37,7 @@ OVERSAMPLE = 3  # ground samples a pixel and axis: 10 m
 
 RED_BLUR_M = 10.0  # sigma of the optics of the red band, besides its 30 m detector
 RED_NOISE_DN = 18.0
+PART_STEP_DN = 16  # of the parts in the package: an error of 5, beside a noise of 18
 THERMAL_DETECTOR_M = 100.0  # read every 50 m, so that cubic convolution has enough to go by
 THERMAL_BLUR_M = 24.0  # sigma of its optics, besides the detector
 THERMAL_NOISE_DN = 18.0  # of a reading; about 0.05 K
@@ -74,7 +75,7 @@ B4 = Band(
     GROUND_ORIGIN_XY_M,
     (402.0, 0.21),
     41,
-    (slice(0, 448), slice(252, 700)),
+    (slice(0, 512), slice(188, 700)),
 )
 # The thermal grid lies (-3.75, -2.75) px (columns, rows) from the red one: a fraction and whole pixels.
 B10 = Band(
@@ -84,7 +85,7 @@ B10 = Band(
     (GROUND_ORIGIN_XY_M[0] - 112.5, GROUND_ORIGIN_XY_M[1] + 82.5),
     (352.0, 0.21),
     101,
-    (slice(0, 456), slice(250, 712)),
+    (slice(0, 520), slice(186, 712)),
 )
 
 
@@ -253,10 +254,12 @@ def write_band(folder: Path, band: Band, image: npt.NDArray[np.uint16], window: 
     path = folder / band.file_name
     rows, cols = window or _whole(band)
     x_m, y_m = band.origin_xy_m
-    # parts go with the package, and one strip is smaller than tiles with their padding
+    values = image[rows, cols]
     blocks: dict[str, int | bool] = {"tiled": True, "blockxsize": 256, "blockysize": 256}
     if window:
+        # parts go with the package: one strip of coarser numbers is half as large
         blocks = {"blockysize": rows.stop - rows.start}
+        values = PART_STEP_DN * (values // PART_STEP_DN + (values % PART_STEP_DN >= PART_STEP_DN / 2))
     with rasterio.open(
         path,
         "w",
@@ -273,7 +276,7 @@ def write_band(folder: Path, band: Band, image: npt.NDArray[np.uint16], window: 
         zlevel=9,
         **blocks,
     ) as file:
-        file.write(image[rows, cols], 1)
+        file.write(values.astype(np.uint16), 1)
         file.set_band_description(1, band.description)
         file.update_tags(NOTE="Synthetic landscape, not a satellite image")
     return path

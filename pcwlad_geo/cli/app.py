@@ -42,7 +42,7 @@ HELP_EXAMPLES: Final = o.examples(
 SAMPLE: Final = ("landsat_b4.tif", "landsat_b10.tif")
 """Reference and target of the demonstration: parts of the synthetic pair of the repository."""
 NEXT: Final = """
-The pair is synthetic. The thermal band lies +1.15, -0.72 px (mean; column, row) from where its georeferencing
+The pair is synthetic. The thermal band lies +1.18, -0.71 px (mean; column, row) from where its georeferencing
 says; the red band is right. Next, open that report, and register a pair of your own:
   pcwlad-geo register REFERENCE TARGET
 """
