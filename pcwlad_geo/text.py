@@ -148,11 +148,14 @@ def mismatch(value: object, kind: type) -> str | None:
     return None
 
 
-def typed(value: object, kind: type[T]) -> T:
+def typed(value: object, kind: type[T], written: type | None = None) -> T:
     """Return a JSON value as a `kind`, a dataclass for example; keys that this has no field for are ignored.
 
-    Raises `ValueError` if the value is not of that type.
+    Raises `ValueError` if the value is not of that type, or has what the type that it was `written` as does
+    not allow (see `mismatch`).
     """
+    if written is not None and (wrong := mismatch(value, written)) is not None:
+        raise ValueError(wrong)
     result: T = _adapter(cast(type, kind)).validate_python(value)
     return result
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
@@ -14,8 +15,8 @@ from pcwlad_geo.correction.agreement import agreement
 from pcwlad_geo.correction.points import hold_out
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import ViewPair, file_px_per_px
-from pcwlad_geo.registration.motions import Motion, describe_motions
-from pcwlad_geo.text import read_json
+from pcwlad_geo.registration.motions import Motion
+from pcwlad_geo.text import read_json, typed
 from pcwlad_geo.tiepoints.pair_points import read_tie_points
 from pcwlad_geo.tiepoints.table import TiePointTable, joined
 from pcwlad_geo.types import Index
@@ -136,6 +137,24 @@ def _contradicted(
     return replace(table, status=status, covariance_px2=covariance_px2), reason
 
 
+@dataclass(frozen=True, slots=True)
+class _ReadOrigin:
+    """Where a report says that its tie points come from."""
+
+    tie_points: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadMatching:
+    """What is read back of the report of a matching."""
+
+    settings: _ReadOrigin
+    tie_points: Mapping[str, int]
+    window_px: int | None
+    motions: tuple[Motion, ...]
+    jitter_px: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Earlier:
     """The registration that a file of tie points comes from."""
@@ -143,9 +162,7 @@ class _Earlier:
     folder: Path
     table: TiePointTable
     """With its own statuses."""
-    window_px: int | None
-    motions: tuple[Motion, ...]
-    jitter_px: float
+    report: _ReadMatching
 
 
 def _earlier(path: Path | str, pair: ViewPair) -> _Earlier | None:
@@ -156,24 +173,17 @@ def _earlier(path: Path | str, pair: ViewPair) -> _Earlier | None:
     folder = Path(path).absolute().parent
     for _ in range(16):
         try:
-            report = read_json(folder / "report.json")
-            source = report["settings"].get("tie_points")
-            if source is not None:
-                folder = Path(source).absolute().parent
-                continue
-            window_px, counts = report["window_px"], dict(report["tie_points"])
-            motions = tuple(Motion(**motion) for motion in report["motions"])
-            describe_motions(motions, accepted=True)  # fails where a value is of a wrong type
-            table = _table_of(folder, counts, pair)
-            window_px = None if window_px is None else int(window_px)
-            jitter_px = float(report["jitter_px"])
-            return None if table is None else _Earlier(folder, table, window_px, motions, jitter_px)
-        except (OSError, InputError, KeyError, TypeError, ValueError, AttributeError):
+            report = typed(read_json(folder / "report.json"), _ReadMatching)
+            if report.settings.tie_points is None:
+                table = _table_of(folder, report.tie_points, pair)
+                return None if table is None else _Earlier(folder, table, report)
+            folder = Path(report.settings.tie_points).absolute().parent
+        except (OSError, InputError, ValueError):
             return None
     return None
 
 
-def _table_of(folder: Path, counts: dict[str, object], pair: ViewPair) -> TiePointTable | None:
+def _table_of(folder: Path, counts: Mapping[str, int], pair: ViewPair) -> TiePointTable | None:
     """Return the tie points of a folder as its report counts them; None where they were changed."""
     for name in ("tiepoints.csv", "tiepoints.gpkg"):
         if not (folder / name).is_file():
@@ -196,7 +206,7 @@ def _rows_of(table: TiePointTable, earlier: TiePointTable, parameters: PointFile
 def _with_history(points: FilePoints, earlier: _Earlier, row_of: Index, pair: ViewPair) -> FilePoints:
     """Return points with the roles that they had, and all others that were known of."""
     before, table = earlier.table, points.table
-    window_px = float(earlier.window_px or 0) * float(file_px_per_px(pair.target)[0])
+    window_px = float(earlier.report.window_px or 0) * float(file_px_per_px(pair.target)[0])
     roles = before.status.astype("<U8")
     matched = np.flatnonzero(roles == "matched")  # by the command match: divided as its fit would have been
     roles[matched] = hold_out(before.predicted_px[matched], window_px)
@@ -219,8 +229,8 @@ def _with_history(points: FilePoints, earlier: _Earlier, row_of: Index, pair: Vi
             str(earlier.folder),
             int(np.count_nonzero((statuses == "matched") & ~on)),
             int(np.count_nonzero(row_of < 0)),
-            earlier.window_px,
+            earlier.report.window_px,
         ),
-        motions=earlier.motions,
-        jitter_px=earlier.jitter_px,
+        motions=earlier.report.motions,
+        jitter_px=earlier.report.jitter_px,
     )

@@ -17,7 +17,7 @@ from pcwlad_geo.options import OutputGrid, Resampling
 from pcwlad_geo.raster import FileIdentity, RpcModel
 from pcwlad_geo.registration import Quality
 from pcwlad_geo.report.content import GridEntry
-from pcwlad_geo.text import joined, mismatch, plain, typed
+from pcwlad_geo.text import joined, plain, typed
 from pcwlad_geo.tiepoints.correction_points import (
     KIND,
     PointColumns,
@@ -135,10 +135,8 @@ def correction_file(path: Path, content: Mapping[str, Any]) -> CorrectionFile:
     Raises `InputError` if it is of another version, damaged, or was changed since it was saved.
     """
     check_version(path, content)
-    if (wrong := mismatch(content, CorrectionFile)) is not None:
-        raise InputError(f"{path} is damaged ({wrong}): save the correction again")
     try:
-        file: CorrectionFile = typed(content, CorrectionFile)
+        file = typed(content, CorrectionFile, written=CorrectionFile)
     except ValueError as error:
         raise InputError(f"{path} is damaged ({joined(error)[:300]}): save the correction again") from error
     check_unedited(path, content)

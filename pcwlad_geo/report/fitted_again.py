@@ -20,7 +20,7 @@ from pcwlad_geo.raster import Grid, is_folder, middle_pixel_size_m
 from pcwlad_geo.registration import Quality, Reason
 from pcwlad_geo.report.content import QualityEntry
 from pcwlad_geo.report.finished import FinishedRegistration
-from pcwlad_geo.report.read_figures import read_report
+from pcwlad_geo.report.read_figures import read_figures
 from pcwlad_geo.text import typed
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -84,7 +84,9 @@ class FittedAgain:
     def selection(self) -> Selection:
         """The fit with its covariance; raises `InputError` if the points give another correction."""
         finished, points = self.finished, self.points.select("fit")
-        window_px = _footprint_px(read_report(self.place), finished.reference_grid, finished.target_grid)
+        figures = read_figures(self.place)
+        side_px = (figures and figures.window_px) or 0
+        window_px = _footprint_px(side_px, finished.reference_grid, finished.target_grid)
         selection = choose(
             points.predicted_px,
             points.target_px,
@@ -128,13 +130,13 @@ def read_evidence(report: Mapping[str, Any]) -> tuple[FitAccuracy, Quality]:
     )
 
 
-def _footprint_px(report: dict[str, Any], reference: Grid, target: Grid) -> float:
+def _footprint_px(side_px: int, reference: Grid, target: Grid) -> float:
     """Return the side of the matching window, target px: it was matched on the coarser pixels of the two."""
     sizes = [middle_pixel_size_m(grid) for grid in (reference, target)]
     ratio = 1.0
     if sizes[0] is not None and sizes[1] is not None:
         ratio = max(1.0, float(np.mean(sizes[0]) / np.mean(sizes[1])))
-    return float(report.get("window_px") or 0) * ratio
+    return side_px * ratio
 
 
 def _check_same(again: Correction, correction: Correction, at_px: np.ndarray[Any, Any], place: Path) -> None:

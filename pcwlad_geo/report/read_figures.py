@@ -29,6 +29,7 @@ class ReadRequirement:
 class ReadAxes:
     """A displacement as a report.json has it."""
 
+    mean: tuple[float, float]
     median: tuple[float, float]
 
 
@@ -56,9 +57,20 @@ class ReadCoverage:
 
 
 @dataclass(frozen=True, slots=True)
+class ReadSide:
+    """The reference or the target as a report.json has it."""
+
+    path: str
+    band: int
+    band_count: int
+
+
+@dataclass(frozen=True, slots=True)
 class ReadFigures:
     """The figures of a pair that are read back of a report.json; see `Report`."""
 
+    reference: ReadSide | None = None
+    target: ReadSide | None = None
     status: RegistrationStatus | None = None
     reason: str | None = None
     warnings: tuple[str, ...] = ()

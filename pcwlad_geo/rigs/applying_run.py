@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +18,7 @@ from pcwlad_geo.execution.workers import available_cores, open_runner
 from pcwlad_geo.outputs.folder import lock_folder, place_file, stage_inside
 from pcwlad_geo.outputs.places import check_outputs
 from pcwlad_geo.raster import Trust, open_raster, plain_name, trusting
+from pcwlad_geo.report.json_content import filled
 from pcwlad_geo.rigs.applying import CaptureOutcome, correct_capture
 from pcwlad_geo.rigs.capture_raster import CAPTURE_TAG, CaptureTask
 from pcwlad_geo.rigs.captures import Capture, find_frames, group, thermal_note
@@ -25,7 +26,7 @@ from pcwlad_geo.rigs.learning_run import checked_jobs
 from pcwlad_geo.rigs.parameters import CAPTURE, CaptureParameters
 from pcwlad_geo.rigs.rig import Rig
 from pcwlad_geo.rigs.split import SCRIPT_NAME, Program, SplitPlan, is_corrected, split_plan
-from pcwlad_geo.text import csv_of, joined, mismatch, read_json
+from pcwlad_geo.text import csv_of, joined, read_json, typed
 from pcwlad_geo.types import PathLike
 
 SUMMARY: Final = "summary.csv"
@@ -299,18 +300,31 @@ def _digest(rig: Rig, capture: Capture, names: Sequence[str]) -> str:
     return hashlib.sha256(json.dumps(state).encode()).hexdigest()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _ReadCapture(CaptureOutcome):
+    """A capture of an earlier run, with the digest of its inputs."""
+
+    inputs: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadCaptures:
+    """The captures of an earlier run."""
+
+    captures: tuple[_ReadCapture, ...]
+
+
 def _finished_before(folder: Path) -> dict[str, tuple[str, CaptureOutcome]]:
     """Return the captures that an earlier run has corrected, with the digests of their inputs."""
     try:
-        before = read_json(folder / APPLIED_FILE)
-        finished = {}
-        for entry in before["captures"]:
-            outcome = CaptureOutcome(**{field.name: entry[field.name] for field in fields(CaptureOutcome)})
-            if outcome.status == "corrected" and mismatch(entry, CaptureOutcome) is None:
-                finished[outcome.name] = str(entry["inputs"]), outcome
-        return finished
-    except (OSError, InputError, KeyError, TypeError, ValueError, AttributeError):
+        before = typed(read_json(folder / APPLIED_FILE), _ReadCaptures, written=_ReadCaptures)
+    except (OSError, InputError, ValueError):
         return {}
+    return {
+        entry.name: (entry.inputs, filled(CaptureOutcome, entry))
+        for entry in before.captures
+        if entry.status == "corrected"
+    }
 
 
 def _are_there(folder: Path, names: Sequence[str]) -> bool:

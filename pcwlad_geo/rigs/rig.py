@@ -23,7 +23,7 @@ from pcwlad_geo.rigs.rig_file import (
     RigLensEntry,
     RigNumbers,
 )
-from pcwlad_geo.text import joined, mismatch, plain, read_json, typed
+from pcwlad_geo.text import joined, plain, read_json, typed
 from pcwlad_geo.types import Float64, PathLike
 
 SCHEMA_VERSION: Final = 1
@@ -173,10 +173,7 @@ class Rig:
     def read(path: PathLike) -> Rig:
         """Read RIG.json; raises `InputError` if it is none."""
         try:
-            content = read_json(Path(path))
-            if (wrong := mismatch(content, RigNumbers)) is not None:
-                raise ValueError(wrong)
-            numbers = typed(content, RigNumbers)
+            numbers = typed(read_json(Path(path)), RigNumbers, written=RigNumbers)
             return filled(Rig, numbers, lenses=tuple(map(_lens, numbers.lenses)))
         except OSError as error:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from error

@@ -23,7 +23,7 @@ from pcwlad_geo.multi.stack.pair import PairStatus
 from pcwlad_geo.multi.stack.pairs import PAIRS, MeasuredPair, measured_pair
 from pcwlad_geo.multi.stack.quality import StackQuality
 from pcwlad_geo.raster import RasterInfo, plain_name
-from pcwlad_geo.text import joined, mismatch, read_json, typed
+from pcwlad_geo.text import joined, read_json, typed
 
 RasterInfoOrError = RasterInfo | InputError
 """An image, or why it cannot be read."""
@@ -103,10 +103,8 @@ def read_stack(folder: Path) -> ReadStack:
             f"{place} has schema version {numbers['schema_version']}, this version reads {SCHEMA_VERSION}: "
             "stack the images again"
         )
-    if (reason := mismatch(numbers, ReadStack)) is not None:
-        raise InputError(f"{place} is damaged ({reason}): stack the images again")
     try:
-        return typed(numbers, ReadStack)
+        return typed(numbers, ReadStack, written=ReadStack)
     except ValueError as error:
         raise InputError(f"{place} is damaged ({joined(error)}): stack the images again") from error
 

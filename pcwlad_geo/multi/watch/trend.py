@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from pcwlad_geo.correction.error_statistics import UnitStatistics
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.limits import LIMITS, check_count
@@ -17,8 +19,8 @@ from pcwlad_geo.multi.watch.dates import date_in, seconds_of, without_dates
 from pcwlad_geo.multi.watch.trend_page import Moment, PairSeries, Trend, render
 from pcwlad_geo.outputs.folder import OutputFolder
 from pcwlad_geo.raster import file_name
-from pcwlad_geo.report.content import Report
-from pcwlad_geo.text import csv_of, mismatch, read_json
+from pcwlad_geo.report.read_figures import read_figures
+from pcwlad_geo.text import csv_of, read_json, typed
 from pcwlad_geo.types import PathLike
 
 TREND_FILES: Final = {"numbers": "trend.json", "table": "trend.csv", "report": "trend.html"}
@@ -28,16 +30,34 @@ TREND_COLUMNS: Final = (
     *("n", "mean_col_px", "mean_row_px", "ce90_px", "passed"),
 )
 """Columns of trend.csv."""
-_READING_ERRORS: Final = (
-    InputError,
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-)
-"""What a damaged report raises."""
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadBand:
+    """What is read back of a band of a qa.json."""
+
+    name: str
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadBandPair:
+    """What is read back of a pair of a qa.json."""
+
+    reference: str
+    target: str
+    n: int
+    passed: bool | None
+    displacement: Mapping[str, UnitStatistics | None]
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadQa:
+    """What is read back of a qa.json."""
+
+    created: str
+    bands: tuple[_ReadBand, ...]
+    pairs: tuple[_ReadBandPair, ...]
 
 
 def trend(
@@ -106,17 +126,13 @@ def trend_folder(folder: PathLike, out_dir: PathLike | None) -> Path:
 
 
 def _moments(file: Path, top: Path) -> list[tuple[str, str, Moment]]:
-    """Return kind, series and figures of the entries of a report."""
+    """Return kind, series and figures of the entries of a report; none of one that is damaged."""
+    read = _of_qa if file.name == "qa.json" else _of_registration
     try:
-        report = read_json(file)
-        if not isinstance(report, dict) or "pcwlad-geo" not in report["versions"]:
-            return []
-        if (wrong := mismatch(report, QaNumbers if file.name == "qa.json" else Report)) is not None:
-            raise ValueError(wrong)
-        entries = list((_of_qa if file.name == "qa.json" else _of_registration)(report, file, top))
+        entries = list(read(file, str(file.relative_to(top))))
         for _, _, moment in entries:
             _check_moment(moment)
-    except _READING_ERRORS:  # of another program, too
+    except (InputError, OSError, ValueError, LookupError, OverflowError):
         return []
     return entries
 
@@ -129,37 +145,33 @@ def _check_moment(moment: Moment) -> None:
     seconds_of(moment.date)
 
 
-def _of_qa(report: Mapping[str, Any], file: Path, top: Path) -> Iterator[tuple[str, str, Moment]]:
-    stems = {band["name"]: Path(band["path"]).stem for band in report["bands"]}
-    for pair in report["pairs"]:
-        px = pair["displacement"]["px"]
-        if px is None:
+def _of_qa(file: Path, name: str) -> Iterator[tuple[str, str, Moment]]:
+    report = typed(read_json(file), _ReadQa, written=QaNumbers)
+    stems = {band.name: Path(band.path).stem for band in report.bands}
+    for pair in report.pairs:
+        if (px := pair.displacement["px"]) is None:
             continue
-        ends = [pair["reference"], pair["target"]]
-        date, by = _date([stems[ends[1]], stems[ends[0]]], file, report["created"])
-        mean = (px["col"]["mean"], px["row"]["mean"])
-        moment = Moment(
-            date, by, str(file.relative_to(top)), pair["n"], mean, px["radial"]["ce90"], pair["passed"]
-        )
+        ends = [pair.reference, pair.target]
+        date, by = _date([stems[ends[1]], stems[ends[0]]], file, report.created)
+        moment = Moment(date, by, name, pair.n, (px.col.mean, px.row.mean), px.radial.ce90, pair.passed)
         yield "qa", " – ".join(map(without_dates, ends)), moment
 
 
-def _of_registration(report: Mapping[str, Any], file: Path, top: Path) -> Iterator[tuple[str, str, Moment]]:
-    if report["displacement_px"] is None or report["status"] == "rejected":
+def _of_registration(file: Path, name: str) -> Iterator[tuple[str, str, Moment]]:
+    report = read_figures(file.parent)
+    if report is None or report.displacement_px is None or report.status == "rejected":
         return
-    ends = [report["reference"], report["target"]]
-    stems = [Path(file_name(end["path"])).stem for end in ends]
+    sides = [side for side in (report.reference, report.target) if side is not None]
+    stems = [Path(file_name(side.path)).stem for side in sides]
     names = [
-        without_dates(stem) + (f" band {end['band']}" if end["band_count"] > 1 else "")
-        for stem, end in zip(stems, ends, strict=True)
+        without_dates(stem) + (f" band {side.band}" if side.band_count > 1 else "")
+        for stem, side in zip(stems, sides, strict=True)
     ]
     date, by = _date(stems[::-1], file, None)
-    accuracy = report["accuracy"]
-    at = accuracy["check"]["px"] or accuracy["fit"]["px"]
-    mean = tuple(report["displacement_px"]["mean"])
-    counts = report["tie_points"]
-    accepted = counts["total"] - counts["rejected"]
-    moment = Moment(date, by, str(file.relative_to(top)), accepted, mean, at["ce90"] if at else None, None)
+    at = report.accuracy["check"]["px"] or report.accuracy["fit"]["px"]
+    accepted = report.tie_points["total"] - report.tie_points["rejected"]
+    mean_px = report.displacement_px.mean
+    moment = Moment(date, by, name, accepted, mean_px, None if at is None else at.ce90, None)
     yield "register", " – ".join(names), moment
 
 
