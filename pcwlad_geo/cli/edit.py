@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import queue
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import typer
 
@@ -35,7 +37,47 @@ NOT_TAKEN: Final = ("allow_remote", "trust_vrt", "scheduler", "jobs", "tie_point
 """Settings of the registration that do not hold here: the first two are yours alone to give."""
 SHOWN: Final = 300
 """Largest length of what an answer repeats of a request."""
+Place = tuple[float, float]
 Tell = Callable[[str, Mapping[str, object]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Numbered:
+    """The number of a request, which its answers repeat."""
+
+    number: int | float | str | None = None
+
+    def __post_init__(self) -> None:
+        if len(str(self.number)) > SHOWN:
+            raise ValueError("the number of a request is short")
+
+
+@dataclass(frozen=True, slots=True)
+class Request(Numbered):
+    """A request. Which of its fields count depends on what it asks for."""
+
+    do: str = ""
+    off: frozenset[int] = frozenset()
+    """Points that are switched off."""
+    gone: frozenset[int] = frozenset()
+    """Points that are deleted."""
+    model: str = ""
+    reference_xy: Place | None = None
+    target_xy: Place | None = None
+    target_px: Place | None = None
+    radius_px: float = math.inf
+    path: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Unusable(Numbered):
+    """A line that is no request."""
+
+    reason: str = ""
+
+
+Requests = queue.Queue[Request | Unusable | None]
+"""Those that wait, and None when no more come."""
 
 
 @o.takes_settings("edit")
@@ -91,7 +133,7 @@ def _open(folder: Path, *, allow_remote: bool = False, trust_vrt: bool = False) 
 
 def _serve(editor: Editor, tell: Tell) -> None:
     """Answer requests until standard input ends; the newest fit counts, others that wait are left out."""
-    waiting: queue.Queue[dict[str, Any] | None] = queue.Queue()
+    waiting: Requests = queue.Queue()
     if isinstance(sys.stdin, io.TextIOWrapper):  # a line that is no UTF-8 is a wrong request like any other
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
 
@@ -104,7 +146,7 @@ def _serve(editor: Editor, tell: Tell) -> None:
 
     threading.Thread(target=read, daemon=True).start()
     while (request := waiting.get()) is not None:
-        if request.get("do") == "fit" and _asks_to_fit(waiting):
+        if _is_fit(request) and _asks_to_fit(waiting):
             continue
         try:
             _answer(editor, request, tell, waiting)
@@ -113,38 +155,37 @@ def _serve(editor: Editor, tell: Tell) -> None:
             message = (
                 str(error) if expected else f"the request cannot be used ({type(error).__name__}: {error})"
             )
-            tell("failed", {"number": request.get("number"), "message": message})
+            tell("failed", {"number": request.number, "message": message})
 
 
-def _asks_to_fit(waiting: queue.Queue[dict[str, Any] | None]) -> bool:
+def _is_fit(request: Request | Unusable | None) -> bool:
+    return isinstance(request, Request) and request.do == "fit"
+
+
+def _asks_to_fit(waiting: Requests) -> bool:
     """Return whether the next request that waits is a fit, which makes one before it pointless."""
     with waiting.mutex:
-        following = waiting.queue[0] if waiting.queue else None
-    return following is not None and following.get("do") == "fit"
+        return bool(waiting.queue) and _is_fit(waiting.queue[0])
 
 
-def _parsed(line: str) -> dict[str, Any]:
+def _parsed(line: str) -> Request | Unusable:
+    number = None
     try:
-        request = parse_json(line)
-    except ValueError:
-        request = None
-    if not isinstance(request, dict):
-        return {"do": line.strip()[:SHOWN]}
-    # what an answer repeats of a request is short and of one value
-    plain = isinstance(request.get("number"), int | float | str) and len(str(request["number"])) <= SHOWN
-    return request if plain else {**request, "number": None}
+        content = parse_json(line)
+        number = typed(content, Numbered, written=Numbered).number
+        return typed(content, Request, written=Request)
+    except ValueError as error:
+        return Unusable(number, f"the request cannot be used ({joined(error)[:SHOWN]})")
 
 
-def _answer(
-    editor: Editor, request: dict[str, Any], tell: Tell, waiting: queue.Queue[dict[str, Any] | None]
-) -> None:
-    what, number = request.get("do"), request.get("number")
-    off, deleted = ({int(index) for index in request.get(name, ())} for name in ("off", "gone"))
-    numbered = off | deleted
+def _answer(editor: Editor, request: Request | Unusable, tell: Tell, waiting: Requests) -> None:
+    if isinstance(request, Unusable):
+        raise ValueError(request.reason)
+    number, numbered = request.number, request.off | request.gone
     if numbered and not 0 <= min(numbered) <= max(numbered) < len(editor.table):
         raise ValueError(f"points are numbered from 0 to {len(editor.table) - 1}: name no others")
-    if what == "fit":
-        trial = editor.try_model(str(request["model"]), numbered)
+    if request.do == "fit":
+        trial = editor.try_model(request.model, numbered)
         figures = {
             "model": trial.model,
             "rmse_px": trial.rmse_px,
@@ -156,28 +197,32 @@ def _answer(
             if not waiting.empty():
                 return
             _tell_model(editor, model, numbered, number, tell)
-    elif what == "add":
-        names = ("reference_xy", "target_px" if "target_px" in request else "target_xy")
-        reference_xy, in_target = (tuple(request[name]) for name in names)
-        most_px = editor.parameters.radius_px
-        radius_px = min(float(request.get("radius_px", most_px)), most_px)
-        by_px = {"target_px": in_target} if names[1] == "target_px" else {}
-        refined = editor.add(reference_xy, None if by_px else in_target, radius_px, deleted, **by_px)
+    elif request.do == "add":
+        in_target = request.target_px or request.target_xy
+        if request.reference_xy is None or in_target is None:
+            raise ValueError("a point is added by reference_xy, and by target_px or target_xy: give both")
+        refined = editor.add(
+            request.reference_xy,
+            None if request.target_px else request.target_xy,
+            min(request.radius_px, editor.parameters.radius_px),
+            request.gone,
+            request.target_px,
+        )
         tell("added", {"number": number, "refined": refined, "point": _last(editor)})
-    elif what == "improve":
-        _improve(editor, request, off, deleted, tell)
-    elif what == "save":
-        _save(editor, Path(request["path"]), off, deleted)
-        tell("saved", {"number": number, "path": request["path"]})
+    elif request.do == "improve":
+        _improve(editor, request, tell)
+    elif request.do == "save":
+        _save(editor, request)
+        tell("saved", {"number": number, "path": request.path})
     else:
-        raise ValueError(f"unknown request {str(what)[:SHOWN]!r}: give fit, add, improve or save")
+        raise ValueError(f"unknown request {request.do[:SHOWN]!r}: give fit, add, improve or save")
 
 
-def _improve(editor: Editor, request: dict[str, Any], off: set[int], deleted: set[int], tell: Tell) -> None:
+def _improve(editor: Editor, request: Request, tell: Tell) -> None:
     """Refine all points that are on, one after the other, and tell which the others contradict."""
-    most_px, replaced = editor.parameters.radius_px, set(deleted)
-    radius_px = min(float(request.get("radius_px", most_px)), most_px)
-    for row in sorted(set(range(len(editor.table))) - off - deleted):
+    off, replaced = request.off, set(request.gone)
+    radius_px = min(request.radius_px, editor.parameters.radius_px)
+    for row in sorted(set(range(len(editor.table))) - off - request.gone):
         refined = editor.improve(row, radius_px, replaced)
         replaced |= {row} if refined else set()
         tell("improved", {"row": row, "point": _last(editor) if refined else None})
@@ -191,18 +236,21 @@ def _last(editor: Editor) -> dict[str, object]:
     return {name: values[-1].item() for name, values in columns_of(editor.table).items()}
 
 
-def _save(editor: Editor, place: Path, off: set[int], deleted: set[int]) -> None:
+def _save(editor: Editor, request: Request) -> None:
     """Write the points, whole or not at all, and never over what was read."""
     from pcwlad_geo.outputs.folder import place_file, stage_inside
     from pcwlad_geo.outputs.places import check_outputs
 
+    if not request.path:
+        raise ValueError("points are saved to a path: give one")
+    place = Path(request.path)
     check_outputs([place], editor.files)
     with stage_inside(place.parent) as stage:
-        editor.save(stage / place.name, off, deleted)
+        editor.save(stage / place.name, request.off, request.gone)
         place_file(stage / place.name, place, overwrite=True)
 
 
-def _tell_model(editor: Editor, model: str, off: set[int], number: object, tell: Tell) -> None:
+def _tell_model(editor: Editor, model: str, off: Collection[int], number: object, tell: Tell) -> None:
     """Tell how well another model fits; nothing where the points do not determine it."""
     try:
         trial = editor.compare(model, off)
