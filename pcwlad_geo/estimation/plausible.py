@@ -27,6 +27,10 @@ ALL_VALUES: Final[Limits] = (-LARGEST_VALUE, LARGEST_VALUE)
 
 def is_plausible(values: NDArray[Any], limits: Limits = ALL_VALUES) -> Bool:
     """Return which of the (…,) `values` are finite and within the `limits`, (…,) bool."""
+    if np.issubdtype(values.dtype, np.integer):
+        held = np.iinfo(values.dtype)
+        if limits[0] <= held.min and held.max <= limits[1]:
+            return np.ones(values.shape, bool)
     with np.errstate(over="ignore"):  # of numbers of 16 bits, which hold no such limits
         return np.asarray((values >= limits[0]) & (values <= limits[1]))
 

@@ -280,7 +280,7 @@ def file_px_per_px(view: View) -> Float64:
 
 def _patch(dtype: str, values: NDArray[np.generic], valid: Bool) -> Patch:
     """Return values in the float type that holds a band's values without loss, 0 where not valid."""
-    known_values = np.where(valid, values, 0)
-    if dtype in ("uint8", "int8", "uint16", "int16", "float16", "float32"):
-        return Patch(known_values.astype(np.float32), valid)
-    return Patch(known_values.astype(np.float64), valid)
+    is_single = dtype in ("uint8", "int8", "uint16", "int16", "float16", "float32")
+    known: Float32 | Float64 = values.astype(np.float32) if is_single else values.astype(np.float64)
+    known[~valid] = 0
+    return Patch(known, valid)

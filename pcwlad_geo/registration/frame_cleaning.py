@@ -7,7 +7,9 @@ that has moved by a few pixels. They are left out before the matching.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -53,7 +55,7 @@ class CleaningParameters:
     outlying: float = 4.0
     """Deviations from around, in their mean, beyond which pixels are cut to that."""
     most_rows: int = 256
-    """Largest number of rows, spread over an image, in which stripes are looked for."""
+    """Largest number of rows, spread over an image or half of it, in which stripes are looked for."""
     least_valid: float = 0.1
     """Least share of a column or row that is valid, where its mean counts."""
     specks: SpeckParameters = field(default_factory=SpeckParameters)
@@ -98,31 +100,40 @@ def without_marks(
     cleaned = []
     for number, (patch, values) in enumerate(zip(patches, frames[:2], strict=True)):
         for axis, shared in stripes.items():
-            values -= np.expand_dims(shared[number], axis)
+            values = (values - np.expand_dims(shared[number], axis)).astype(np.float32)
         cleaned.append(_unmarked(np.where(patch.valid, values, np.float32(np.nan)), marks, parameters))
     return with_frames(pair, cleaned, _note(float(marks.mean()), list(stripes)), in_memory=in_memory)
 
 
 def read_frames(
-    pair: Pair, parameters: CleaningParameters = CleaningParameters()
+    pair: Pair, parameters: CleaningParameters = CleaningParameters(), *, most_side_px: int | None = None
 ) -> tuple[Patch, Patch] | None:
-    """Return the pixels of two files of the same grid; None of others, or where not all can be read."""
+    """Return the pixels of two files of the same grid; None of others, or where not all can be read.
+
+    They are all pixels, or those of a part in the middle of at most `most_side_px` a side.
+    """
     reference, target = pair.reference, pair.target
     same = type(reference.grid) is Grid and reference.grid == target.grid and reference.uri != target.uri
-    if not same or pair.settings.extent is not None or np.prod(reference.grid.shape) > parameters.most_px:
+    shape = reference.grid.shape
+    if not same or pair.settings.extent is not None or np.prod(shape) > parameters.most_px:
         return None
-    whole = Window.whole(reference.grid.shape)
-    with suppress(InputError):  # the matching tells which parts cannot be read
-        one, other = (View(info, info.grid, "none").read(whole) for info in (reference, target))
+    rows, cols = (min(length, most_side_px or length) for length in shape)
+    part = Window((shape[0] - rows) // 2, (shape[1] - cols) // 2, rows, cols)
+
+    def read(info: RasterInfo) -> Patch:
+        return View(info, info.grid, "none").read(part)
+
+    with suppress(InputError), ThreadPoolExecutor(2) as threads:  # the matching tells what cannot be read
+        futures = [threads.submit(copy_context().run, read, info) for info in (reference, target)]
+        one, other = (future.result() for future in futures)
         return one, other
     return None
 
 
 def frames_of(one: Patch, other: Patch) -> Frames:
     """Return the values of both frames, `one` and the `other`, and the pixels that are valid in both."""
-    return Frames(
-        np.array(one.values, np.float32), np.array(other.values, np.float32), one.valid & other.valid
-    )
+    values, others = (np.asarray(patch.values, np.float32) for patch in (one, other))
+    return Frames(values, others, one.valid & other.valid)
 
 
 def with_frames(pair: Pair, frames: Sequence[Float32], note: str, *, in_memory: bool) -> CleanedPair:
@@ -172,8 +183,9 @@ def with_infos(views: ViewPair, reference: RasterInfo, target: RasterInfo) -> Vi
 
 def _marks(frames: Frames, parameters: CleaningParameters) -> Bool:
     """Return the (rows, cols) pixels of strokes that are at the same end of both ranges."""
-    marks = strokes(frames, parameters.specks)
-    if not parameters.least_share <= marks.mean() <= parameters.most_share:
+    least, most = parameters.least_share, parameters.most_share
+    marks = strokes(frames, parameters.specks, least)
+    if not least <= marks.mean() <= most:
         return np.zeros(marks.shape, bool)
     kernel = np.ones((2 * parameters.grow_px + 1,) * 2)
     return np.asarray(cv2.dilate(marks.astype(np.uint8), kernel) > 0)
@@ -190,8 +202,8 @@ def _stripes(
         return None
     one, other = (np.moveaxis(values, axis, 0) for values in frames[:2])
     valid = np.moveaxis(frames.valid & ~marks, axis, 0)
-    some = np.s_[:: -(-len(valid) // parameters.most_rows)]
-    both = [_profile(values[some], valid[some], parameters) for values in (one, other)]
+    most_rows = parameters.most_rows
+    both = [_profile(values, valid, parameters, most_rows) for values in (one, other)]
     at_none = abs(_correlation(*both))
     shifts = [shift for shift in range(-parameters.reach_px, parameters.reach_px + 1) if abs(shift) > 1]
     elsewhere = max(abs(_correlation(both[0], np.roll(both[1], shift))) for shift in shifts)
@@ -199,7 +211,9 @@ def _stripes(
         return None
     halves = np.s_[: len(valid) // 2], np.s_[len(valid) // 2 :]
     own = [
-        _correlation(*(_profile(values[half], valid[half], parameters) for half in halves))
+        _correlation(
+            *(_profile(values[half], valid[half], parameters, parameters.most_rows) for half in halves)
+        )
         for values in (one, other)
     ]
     if min(own) < parameters.stripes:
@@ -207,9 +221,16 @@ def _stripes(
     return _profile(one, valid, parameters), _profile(other, valid, parameters)
 
 
-def _profile(values: Float32, valid: Bool, parameters: CleaningParameters) -> Float64:
-    """Return what the columns of an image have beside their neighbours: (cols,) means without outliers."""
+def _profile(
+    values: Float32, valid: Bool, parameters: CleaningParameters, most_rows: int | None = None
+) -> Float64:
+    """Return what the columns of an image have beside their neighbours: (cols,) means without outliers.
+
+    They are of all rows, or of `most_rows` spread over the image.
+    """
     reach_px = round(3 * parameters.smooth_px)
+    some = np.s_[:: max(1, -(-len(valid) // (most_rows or len(valid))))]
+    values, valid = np.ascontiguousarray(values[some]), valid[some]
 
     def blurred(part: Float32) -> Float32:
         size = 2 * reach_px + 1, 1

@@ -71,17 +71,20 @@ def without_marked(frames: Frames, parameters: SpeckParameters) -> Frames:
     return Frames(filled(one, ~valid, parameters), filled(other, ~valid, parameters), valid)
 
 
-def strokes(frames: Frames, parameters: SpeckParameters) -> Bool:
+def strokes(frames: Frames, parameters: SpeckParameters, least_share: float = 0.0) -> Bool:
     """Return the (rows, cols) pixels at the same end of both ranges that are strokes of writing or lines.
 
-    They have the same outline in both images, as bright and dark ground of two bands or dates has not.
+    They have the same outline in both images, as bright and dark ground of two bands or dates has not. Where
+    less than the `least_share` of the pixels lie at the same ends, none are asked for.
     """
-    marks = np.zeros(frames.valid.shape, bool)
-    for one, other in _at_ends(frames):
-        both, either = one & other, one | other
+    marks, ends = np.zeros(frames.valid.shape, bool), _at_ends(frames)
+    together = [one & other for one, other in ends]
+    if sum(map(np.count_nonzero, together)) < max(least_share * marks.size, 1):
+        return marks
+    for (one, other), both in zip(ends, together, strict=True):
         if not both.any():
             continue
-        count, labels = cv2.connectedComponents(either.astype(np.uint8))
+        count, labels = cv2.connectedComponents((one | other).astype(np.uint8))
         shared = np.bincount(labels[both], None, count) / np.maximum(np.bincount(labels.ravel()), 1)
         marks |= both & (shared >= parameters.same_outline)[labels]
     return _thin(marks, parameters) & marks
@@ -92,9 +95,8 @@ def _at_ends(frames: Frames) -> list[tuple[Bool, Bool]]:
     one, other, valid = frames
     if not valid.any():
         return []
-    return [
-        (valid & (one == end(one[valid])), valid & (other == end(other[valid]))) for end in (np.min, np.max)
-    ]
+    ends = [cv2.minMaxLoc(values, valid.view(np.uint8))[:2] for values in (one, other)]
+    return [(valid & (one == ours), valid & (other == theirs)) for ours, theirs in zip(*ends, strict=True)]
 
 
 def without_specks(frames: Frames, parameters: SpeckParameters, smooth_px: float) -> Frames | None:

@@ -73,16 +73,14 @@ def without_pattern(
     farthest_px = drawn[1] * np.sqrt(2) * (parameters.reach_px + 1) + parameters.aside_px
     if not drawn[0] * parameters.least_px <= distance_px <= farthest_px:
         return None  # wherever the ground is, they are not on the way to it
+    middle = read_frames(pair, most_side_px=parameters.side_px)
+    ground_px = _ground_beside_pattern(frames_of(*middle), parameters) if middle else None
+    if ground_px is None or not _is_drawn(points_px, ground_px, parameters):
+        return None
     patches = read_frames(pair)
     if patches is None:
         return None
-    frames = frames_of(*patches)
-    ground_px = _ground_beside_pattern(frames, parameters)
-    if ground_px is None or not _is_drawn(points_px, ground_px, parameters):
-        return None
-    smooth = [
-        _smoothed(values, patch.valid, parameters) for values, patch in zip(frames[:2], patches, strict=True)
-    ]
+    smooth = [_smoothed(np.asarray(patch.values, np.float32), patch.valid, parameters) for patch in patches]
     return with_frames(pair, smooth, NOTE, in_memory=in_memory)
 
 
@@ -102,10 +100,10 @@ def _is_drawn(points_px: Float64, ground_px: Float64, parameters: PatternParamet
 
 def _ground_beside_pattern(frames: Frames, parameters: PatternParameters) -> Float64 | None:
     """Return the (2,) displacement of the ground where the finest structure agrees at none instead."""
-    side = min(parameters.side_px, *frames.valid.shape) // 2 * 2
+    side = min(frames.valid.shape) // 2 * 2
     top, left = ((length - side) // 2 for length in frames.valid.shape)
-    middle = np.s_[top : top + side, left : left + side]
-    spectra = [scipy.fft.rfft2(_flat(values[middle], frames.valid[middle])) for values in frames[:2]]
+    square = np.s_[top : top + side, left : left + side]
+    spectra = [scipy.fft.rfft2(_flat(values[square], frames.valid[square])) for values in frames[:2]]
     crossed = np.conj(spectra[0]) * spectra[1]
     crossed /= np.abs(crossed) + 1e-9
     row, col = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)

@@ -46,6 +46,12 @@ def test_only_the_extreme_values_are_implausible(dtype: str, value: float) -> No
     assert np.argwhere(wrong).tolist() == [[3, 4], [60, 7], [61, 7]]
 
 
+@pytest.mark.parametrize("limits", [(-1e9, 1e9), (0, 255), (1, 255), (0, 254.0)])
+def test_whole_numbers_are_implausible_as_others_are(limits: tuple[float, float]) -> None:
+    values = np.arange(256, dtype=np.uint8)
+    assert (is_plausible(values, limits) == is_plausible(values.astype(np.float64), limits)).all()
+
+
 def test_an_image_of_one_value_has_no_narrower_limits() -> None:
     flat = np.zeros(5000, np.float32)
     flat[7] = 1e5

@@ -14,7 +14,7 @@ from pcwlad_geo.execution.runner import InThisProcess
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import View, Window
 from pcwlad_geo.registration import match_pair, prepare_pair
-from pcwlad_geo.registration.frame_cleaning import without_marks
+from pcwlad_geo.registration.frame_cleaning import CleaningParameters, without_marks
 from pcwlad_geo.registration.frame_smoothing import NOTE, without_pattern
 from pcwlad_geo.registration.result import Matches, Pair
 from tests.scenes import make_grid, render, write
@@ -82,10 +82,11 @@ def test_stripes_of_one_image_alone_are_its_own(tmp_path: Path) -> None:
     assert without_marks(pair, in_memory=True) is None
 
 
-def test_stripes_are_taken_out_and_the_ground_remains(tmp_path: Path) -> None:
+@pytest.mark.parametrize("most_rows", [SHAPE[0], 60])
+def test_stripes_are_taken_out_and_the_ground_remains(tmp_path: Path, most_rows: int) -> None:
     plain = ground((0, 0), 1)
     pair = pair_of(tmp_path, striped(0)(plain), striped(0)(ground(MOVED_PX, 2)))
-    cleaned = without_marks(pair, in_memory=True)
+    cleaned = without_marks(pair, in_memory=True, parameters=CleaningParameters(most_rows=most_rows))
     assert cleaned is not None
     info = cleaned.pair.reference
     values = View(info, info.grid, "none").read(Window.whole(SHAPE)).values
