@@ -6,11 +6,13 @@ the window turns, while the map is drawn), `folder` for pictures and `seen.json`
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from qgis.core import QgsProject, QgsRasterLayer, QgsRectangle
+from qgis.core import QgsProject, QgsRasterLayer, QgsRectangle, QgsVector
 from qgis.PyQt.QtCore import QTimer
 from qgis.utils import iface, plugins
 from steps import JOB, begin, go, grab, opened, seen
@@ -59,10 +61,33 @@ def steps() -> Iterator[int]:
     dock.red_cyan_button.click()
     yield 2500
     seen["red and cyan"] = dock.views.composite._curtain is not None
+    yield from pans(dock, turns, pulse)
     dock.tabs.setCurrentIndex(0)
     seen["verdict"] = dock.footer.verdict.text()
     seen["layers"] = sorted(each.name() for each in QgsProject.instance().mapLayers().values())
     grab(window, "basemap_after")
+
+
+def pans(dock: Any, turns: Path, pulse: QTimer) -> Iterator[int]:
+    """Move the map on while the tiles of the last move are awaited, and come back, in two ways to look."""
+    canvas, start = iface.mapCanvas(), iface.mapCanvas().extent()
+    running = sys.modules["pcwlad_geo_qgis.widgets.drawing"].running
+    dock.with_reference.setChecked(True)
+    for button in (dock.red_cyan_button, dock.swipe_button):
+        button.setChecked(True)
+        turns.touch()
+        pulse.start(20)
+        for part in (1, 2, 0):  # beyond the edges, where tiles are missing
+            extent = QgsRectangle(start)
+            extent += QgsVector(part * start.width() / 3, 0)
+            canvas.setExtent(extent)
+            time.sleep(0.2)  # the tiles are asked for, and the window has not turned
+        seen.setdefault("given up", []).append(len(running))  # no job is waited for
+        yield 2500
+        pulse.stop()
+        turns.unlink()
+    seen["swiped"] = not dock.swipe._curtain.image.isNull()
+    dock.swipe_button.setChecked(False)
 
 
 go(steps)

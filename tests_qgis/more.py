@@ -150,6 +150,8 @@ def earlier(dock: Any) -> Iterator[int]:
     seen["compared"] = [each.name() for each in canvas.layers()]
     dock.blink_button.setChecked(True)
     dock.close()
+    while process.exists():  # it ends meanwhile
+        yield 50
     yield 1500
     seen["closed"] = [dock.blink.isActive(), dock.editor is None, process.exists()]
     seen["shown_after_closing"] = [each.name() for each in canvas.layers()]

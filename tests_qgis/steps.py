@@ -106,14 +106,12 @@ def busy() -> bool:
 
 def _dock_is_busy(dock: Any) -> bool:
     """Return whether the dock draws beside the maps, or waits for an engine."""
-    ghost, editor = dock.place.ghost, dock.editor
-    ghosts = [ghost, editor and editor.live.ghost]
-    jobs = [dock.swipe._job, *dock.views.composite._jobs, *(each._job for each in ghosts if each)]
+    editor = dock.editor
     asked = editor is not None and (editor._shown_number < editor._number or "…" in editor.told.text())
     used = editor is not None and editor._using is not None
     starts = editor is not None and not editor.isEnabled()  # that may take longer than anything it is asked
-    drawn = any(job is not None and job.isActive() for job in jobs)
-    return dock._runner.running or used or drawn or (asked and not starts)
+    drawn = sys.modules["pcwlad_geo_qgis.widgets.drawing"].running
+    return dock._runner.running or used or bool(drawn) or (asked and not starts)
 
 
 def _watch() -> None:

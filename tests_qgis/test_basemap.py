@@ -186,6 +186,9 @@ def test_the_dock_takes_what_the_map_shows(
     assert "on <b>What the map shows</b>" in seen["heading"]
     assert seen["seen"] < 100_000  # not the whole world any more, on which the result is a dot
     assert seen["red and cyan"] is True  # the web map is the reference there too
+    assert seen["given up"] == [6, 4]  # two for red and cyan, one for the swipe, which was drawn before
+    assert seen["swiped"] is True
+    assert seen["errors"] == []
     assert "relative to the basemap Luftbild (" in seen["verdict"]
     assert seen["verdict"].count("relative to the basemap") == 1
     assert seen["turns"] > 0

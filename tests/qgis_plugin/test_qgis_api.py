@@ -41,7 +41,7 @@ NOT_IN_STUBS = {"QgsProcessingException", "QgsCsException"}
 """Exceptions, which the stubs leave out."""
 MOVED_TO_QTGUI = {"QAction"}
 """What `qgis.PyQt.QtWidgets` brings along in Qt 6, as it was there in Qt 5."""
-MOST_LINES = 4245
+MOST_LINES = 4280
 ENGINE_FACING = sorted((PLUGIN / "process").glob("*.py"))
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui
 
+from .drawing import MapDrawing
+
 
 class Curtain(gui.QgsMapCanvasItem):
     """Draws another map over the left part of the canvas."""
@@ -39,7 +41,7 @@ class SwipeTool(gui.QgsMapTool):
         self.setCursor(QtCore.Qt.CursorShape.SplitHCursor)
         self._layers: list[core.QgsMapLayer] = []
         self._curtain: Curtain | None = None
-        self._job: core.QgsMapRendererParallelJob | None = None
+        self._drawing = MapDrawing(self._drawn)
 
     def show(self, layers: list[core.QgsMapLayer]) -> None:
         """Have layers on the left: those of the map before the correction."""
@@ -58,6 +60,7 @@ class SwipeTool(gui.QgsMapTool):
             self.canvas().extentsChanged.disconnect(self._draw)
             self.canvas().scene().removeItem(self._curtain)
             self._curtain = None
+            self._drawing.give_up()
             super().deactivate()
 
     def canvasMoveEvent(self, event: gui.QgsMapMouseEvent) -> None:
@@ -72,11 +75,9 @@ class SwipeTool(gui.QgsMapTool):
     def _draw(self) -> None:
         settings = core.QgsMapSettings(self.canvas().mapSettings())
         settings.setLayers(self._layers)
-        self._job = core.QgsMapRendererParallelJob(settings)
-        self._job.finished.connect(self._drawn)
-        self._job.start()
+        self._drawing.draw(settings)
 
-    def _drawn(self) -> None:
-        if self._curtain is not None and self._job is not None:
-            self._curtain.image = self._job.renderedImage()
+    def _drawn(self, image: QtGui.QImage) -> None:
+        if self._curtain is not None:
+            self._curtain.image = image
             self._curtain.update()

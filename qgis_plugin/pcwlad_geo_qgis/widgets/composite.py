@@ -6,6 +6,7 @@ from qgis import core, gui
 from qgis.PyQt import QtCore, QtGui
 
 from .compare import Curtain
+from .drawing import MapDrawing
 
 EDGES = "#cf222e"
 SAMPLE_PX = 96
@@ -28,7 +29,7 @@ class Composite(QtCore.QObject):
         self._way = ""
         self._layers: tuple[Layers, Layers] = ([], [])
         self._curtain: Curtain | None = None
-        self._jobs: list[core.QgsMapRendererParallelJob] = []
+        self._drawing = MapDrawing(self._drawn)
 
     def show(self, way: str, layers: Layers, reference: Layers) -> None:
         """Show `red_cyan` (the reference is red) or `edges` (those of the reference over the layers)."""
@@ -45,6 +46,7 @@ class Composite(QtCore.QObject):
             self._canvas.extentsChanged.disconnect(self._draw)
             self._canvas.scene().removeItem(self._curtain)
             self._curtain = None
+            self._drawing.give_up()
 
     def set_visible(self, visible: bool) -> None:
         """Let the map be seen for a moment."""
@@ -52,21 +54,16 @@ class Composite(QtCore.QObject):
             self._curtain.setVisible(visible)
 
     def _draw(self) -> None:
-        jobs = []
-        for layers in self._layers:
-            settings = core.QgsMapSettings(self._canvas.mapSettings())
+        maps = [core.QgsMapSettings(self._canvas.mapSettings()) for _ in self._layers]
+        for settings, layers in zip(maps, self._layers):
             settings.setLayers(layers)
             settings.setBackgroundColor(QtGui.QColor(0, 0, 0, 0))
-            jobs.append(core.QgsMapRendererParallelJob(settings))
-        self._jobs = jobs
-        for job in jobs:
-            job.finished.connect(lambda: self._drawn(jobs))
-            job.start()
+        self._drawing.draw(*maps)
 
-    def _drawn(self, jobs: list[core.QgsMapRendererParallelJob]) -> None:
-        if self._curtain is not None and jobs is self._jobs and not any(job.isActive() for job in jobs):
+    def _drawn(self, *images: QtGui.QImage) -> None:
+        if self._curtain is not None:
             compose = red_cyan if self._way == "red_cyan" else edges
-            self._curtain.image = compose(*(job.renderedImage() for job in jobs))
+            self._curtain.image = compose(*images)
             self._curtain.update()
 
 

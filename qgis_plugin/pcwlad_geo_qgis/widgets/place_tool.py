@@ -10,6 +10,7 @@ from qgis.PyQt import QtCore, QtGui
 
 from ..model.placed import PlacedLayer
 from ..process.placement import Affine, Place, after, apply, corners_of, moved, turned
+from .drawing import MapDrawing
 from .pair_maps import map_crs
 
 PICTURE_PX = 1600
@@ -44,6 +45,7 @@ class Ghost(gui.QgsMapCanvasItem):
         self._image, self._box = QtGui.QImage(), placement.box
         self.pending: Place | None = None
         """A clicked place of the layer, in its own coordinates, whose place on the map is not known yet."""
+        self._drawing = MapDrawing(self._drawn)
         self._draw(placement.layer)
 
     def _draw(self, layer: core.QgsRasterLayer) -> None:
@@ -59,18 +61,15 @@ class Ghost(gui.QgsMapCanvasItem):
         settings.setBackgroundColor(QtGui.QColor(0, 0, 0, 0))
         shown = settings.visibleExtent()  # a little more than the extent
         self._box = shown.xMinimum(), shown.yMinimum(), shown.xMaximum(), shown.yMaximum()
-        self._job = core.QgsMapRendererParallelJob(settings)
-        self._job.finished.connect(self._drawn)
-        self._job.start()
+        self._drawing.draw(settings)
 
-    def _drawn(self) -> None:
-        self._image = self._job.renderedImage()
+    def _drawn(self, image: QtGui.QImage) -> None:
+        self._image = image
         self.update()
 
     def leave(self) -> None:
         """Go from the map."""
-        self._job.finished.disconnect()
-        self._job.cancelWithoutBlocking()
+        self._drawing.give_up()
         self._canvas.scene().removeItem(self)
 
     def _change(self) -> core.QgsCoordinateTransform:

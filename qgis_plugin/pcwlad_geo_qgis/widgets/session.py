@@ -7,16 +7,18 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from qgis.PyQt.QtCore import QProcess, QProcessEnvironment, pyqtSignal
+from qgis.PyQt.QtCore import QProcess, QProcessEnvironment, QTimer, pyqtSignal
 
 from ..process.advice import for_dialog
 from ..process.engine import Engine
 
 GRACE_MS = 2000
+_ending: list[Session] = []
+"""Those that were told to end and have not yet: to delete one is to wait for it."""
 
 
 class Session(QProcess):
-    """`pcwlad-geo edit`, once it is started; never waits, but for its end."""
+    """`pcwlad-geo edit`, once it is started; never waits."""
 
     answered = pyqtSignal(dict)
     """What the engine says; the last one is the event `ended`."""
@@ -39,12 +41,19 @@ class Session(QProcess):
         self.write((json.dumps({"do": what, **values}) + "\n").encode())
 
     def end(self) -> None:
-        """End the engine."""
+        """End the engine, in the background: it may be busy, or only starting."""
         self.answered.disconnect()
+        if self.state() == self.ProcessState.NotRunning:
+            return
+        self.setParent(None)
+        _ending.append(self)
+        self.finished.connect(self._leave)
         self.closeWriteChannel()
-        if not self.waitForFinished(GRACE_MS):
-            self.kill()
-            self.waitForFinished(GRACE_MS)
+        QTimer.singleShot(GRACE_MS, self.kill)
+
+    def _leave(self) -> None:
+        _ending.remove(self)
+        self.deleteLater()
 
     def _hear(self) -> None:
         while self.canReadLine():
