@@ -140,13 +140,18 @@ def correlation_at(reference: Channels, target: Channels, shift_xy: tuple[int, i
         np.s_[top:bottom, left:right],
         np.s_[top + row : bottom + row, left + col : right + col],
     )
-    valid = (reference.valid[reference_part] > 0) & (target.valid[target_part] > 0)
+    both = reference.valid[reference_part] * target.valid[target_part]
+    count = float(both.sum(dtype=np.float64))
+    if count == 0:
+        return 0.0
     first, second = (
-        np.asarray(values[valid], np.float64)
+        (values * both[..., None]).reshape(-1, ORIENTATIONS)
         for values in (reference.values[reference_part], target.values[target_part])
     )
-    if len(first) == 0:
-        return 0.0
-    first, second = first - first.mean(axis=0), second - second.mean(axis=0)
-    norm = float(np.linalg.norm(first) * np.linalg.norm(second))
-    return float((first * second).sum()) / norm if norm > 0 else 0.0
+    mean, other = (values.sum(axis=0, dtype=np.float64) / count for values in (first, second))
+    covariance = np.vdot(first, second) - count * (mean @ other)
+    norm = np.sqrt(
+        max((np.vdot(first, first) - count * (mean @ mean)), 0.0)
+        * max((np.vdot(second, second) - count * (other @ other)), 0.0)
+    )
+    return float(covariance / norm) if norm > 0 else 0.0

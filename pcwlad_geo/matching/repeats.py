@@ -64,13 +64,14 @@ def rivals_of(reference: Image, target: Image, shift_xy: Float64) -> list[Rival]
     step = max(1, round(max(reference[1].shape) / by.side_px))
     first = channels_at(*reference, step)
     repeat, rows_cols = _autocorrelation(first), np.array(first.valid.shape)
-    distance = np.hypot(*np.ogrid[tuple(slice(1 - n, n) for n in first.valid.shape)])
-    highest = repeat[_is_peak(repeat) & (distance > by.apart_px)].max(initial=0.0)
+    rows_away, cols_away = np.ogrid[tuple(slice(1 - n, n) for n in first.valid.shape)]
+    is_apart = rows_away**2 + cols_away**2 > by.apart_px**2
+    highest = repeat[_is_peak(repeat) & is_apart].max(initial=0.0)
     if highest * np.sqrt(first.valid.sum()) < by.least_z:
         return []
     second, near_repeat = channels_at(*target, step), cv2.dilate(repeat, np.ones((5, 5)))
     least_fit = correlation_at(first, second, np.rint(shift_xy / step).astype(int).tolist())
-    strongest = near_repeat[distance > by.apart_px].max(initial=0.0)
+    strongest = near_repeat[is_apart].max(initial=0.0)
     if strongest <= by.least_repeat * least_fit / by.clear_ratio:
         return []  # a rival fits that well at least, and no repeat reaches its share of that
     fit, overlap = masked_correlation(first, second)

@@ -156,6 +156,8 @@ def filled(values: Float32, holes: Bool, parameters: SpeckParameters) -> Float32
     filled, filled_pixels = values.copy(), np.asarray(~holes)
     weight = filled_pixels.astype(np.float32)
     for sigma_px in parameters.fill_px:
+        if filled_pixels.all():
+            return filled
         around = cv2.GaussianBlur(values * weight, (0, 0), sigma_px)
         reached = cv2.GaussianBlur(weight, (0, 0), sigma_px)
         new = ~filled_pixels & np.asarray(reached > 0.05)
