@@ -13,7 +13,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
-from pcwlad_geo.raster.grid import apply, composed
+from pcwlad_geo.raster.grid import apply
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ class Raster:
             "dtype": "uint16",
             "nodata": 0,
         }
-        moved = composed(self.transform, ((1.0, 0.0), (0.0, 1.0)), shift_px)
+        moved = self.transform @ Affine.translation(*shift_px)
         with rasterio.open(path, "w", **profile, crs=CRS.from_user_input(self.crs), transform=moved) as file:
             file.write(values.reshape(self.shape), 1)
         return path

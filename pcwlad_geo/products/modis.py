@@ -1,54 +1,78 @@
-"""MODIS of level 1B: swaths in HDF4, which most builds of GDAL do not read."""
+"""MODIS of levels 1B and 2: swaths of which GeoTIFFs were written, as GDAL does not read their files."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-import rasterio
-
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.kind import ProductKind
-from pcwlad_geo.products.product import Product
-from pcwlad_geo.raster import FileTree
+from pcwlad_geo.products.product import Product, ProductBand
+from pcwlad_geo.raster import FileTree, open_raster
 from pcwlad_geo.raster.file_tree import name_in
-
-_MODIS_FILE: Final = re.compile(
-    r"M[OY]D(?:02(?:1KM|HKM|QKM|SSH)|03)\.A\d{7}\.\d{4}\.\d{3}\.\d{13}(?:\.NRT)?\.hdf", re.IGNORECASE
-)
-
-
-def _refuse(name: str, path: Path) -> None:
-    """Raise `InputError`, which says how a file of MODIS is read."""
-    with rasterio.Env() as environment:
-        has_driver = "HDF4" in environment.drivers()
-    warped = 'gdalwarp -geoloc HDF4_EOS:EOS_SWATH:"…":MODIS_SWATH_Type_L1B:EV_1KM_Emissive out.tif'
-    raise InputError(
-        f"{name} of {path} is a swath of MODIS in HDF4, which is not read as a product"
-        + ("" if has_driver else ", and for which this GDAL has no driver")
-        + f": warp a band of it where GDAL has one, as conda-forge's with libgdal-hdf4 ({warped}), and give "
-        "the result"
-    )
+from pcwlad_geo.raster.modis_files import MODIS_FILES
 
 
 def _find(tree: FileTree) -> Product | None:
-    files = [name for name in tree.names if _MODIS_FILE.fullmatch(name_in(name))]
-    if files:
-        _refuse(name_in(files[0]), tree.path)
-    return None
+    images = [name for name in tree.names if MODIS_FILES.raster.fullmatch(name_in(name))]
+    return _product(tree, images, str(tree.path)) if len(_granules(images)) == 1 else None
 
 
 def _of_file(path: Path) -> Product | None:
-    if _MODIS_FILE.fullmatch(path.name):
-        _refuse(path.name, path.parent)
+    if MODIS_FILES.hdf4.fullmatch(path.name):
+        raise InputError(
+            f"{path} is HDF4, which register, match, prove, qa, stack and batch read: they write GeoTIFFs of "
+            "it beside their results"
+        )
+    if not MODIS_FILES.raster.fullmatch(path.name):
+        return None
+    clear = sorted(file.name for file in (path.parent / MODIS_FILES.beside).glob("*_clear.tif"))
+    tree = FileTree(path.parent, (path.name, *(f"{MODIS_FILES.beside}/{name}" for name in clear)))
+    return replace(_product(tree, [path.name], str(path)), of_one_file=True)
+
+
+def _granules(names: Sequence[str]) -> set[tuple[str, ...]]:
+    found = map(MODIS_FILES.raster.fullmatch, map(name_in, names))
+    return {match.group("satellite", "kind", "time") for match in found if match}
+
+
+def _product(tree: FileTree, images: Sequence[str], path: str) -> Product:
+    ((satellite, kind, time),) = _granules(images)
+    bands = []
+    for name in images:
+        with open_raster(tree.uri(name)) as file:
+            bands += [
+                ProductBand(band or "", tree.uri(name), nodata=None, number=number)
+                for number, band in enumerate(file.descriptions, 1)
+            ]
+    clouds = f"{satellite}35_L2.{time}_clear.tif"
+    clear = [*tree.named(f"{satellite}{kind}.{time}.*_clear.tif"), *tree.named(clouds)]
+    mask = tree.uri(clear[-1]) if clear else None
+    if mask and (step := MODIS_FILES.step(kind)) > 1:
+        mask = f"vrt://{mask}?outsize={step}00%,{step}00%"
+    ordered = sorted(bands, key=lambda band: (len(band.name.rstrip("hilo")), band.name))  # B2 before B13lo
+    return Product(
+        path, f"MODIS {satellite}{kind}", tuple(ordered), mask, mask_file=f"{satellite}35_L2.{time}.*.hdf"
+    )
+
+
+def _part(names: Sequence[str]) -> str | None:
+    """Return what a folder with these names holds, and what to do."""
+    count = len(_granules(names))
+    if count > 1:
+        return f"{count} granules of MODIS: give the file of one"
+    if any(map(MODIS_FILES.hdf4.fullmatch, names)):
+        return f"parts of a granule of MODIS without its images: add {MODIS_FILES.example}"
     return None
 
 
 MODIS: Final = ProductKind(
     name="MODIS",
-    marks=lambda name: _MODIS_FILE.fullmatch(name) is not None,
+    marks=lambda name: bool(MODIS_FILES.hdf4.fullmatch(name) or MODIS_FILES.raster.fullmatch(name)),
     find=_find,
     of_file=_of_file,
+    part=_part,
 )
-"""The kind of all swaths of MODIS, none of which is read."""
+"""The kind of all swaths of MODIS of levels 1B and 2 that are read."""

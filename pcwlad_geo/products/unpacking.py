@@ -1,4 +1,4 @@
-"""Inputs that GDAL does not read where they lie, as files of their own: parts of JPEGs, HDF5 in archives."""
+"""Inputs that GDAL does not read where they lie, as files: parts of JPEGs, HDF4, HDF5 in archives."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.finding import KINDS, stem_of
 from pcwlad_geo.products.jpeg_parts import part_files, part_stems
-from pcwlad_geo.products.names import HDF5_ENDINGS
-from pcwlad_geo.raster import FileTree
+from pcwlad_geo.products.names import HDF5_ENDINGS, beside
+from pcwlad_geo.raster import FileTree, is_folder
 from pcwlad_geo.raster.file_tree import is_archive, name_in, tree_of
+from pcwlad_geo.raster.modis_files import MODIS_FILES
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.text import part_of_jpeg
 from pcwlad_geo.types import PathLike
+
+_HDF4: Final = ".hdf"
+"""Ending of files of HDF4."""
 
 
 @contextmanager
@@ -32,7 +37,10 @@ def unpacked(names: Sequence[PathLike], out_dir: PathLike, *, overwrite: bool) -
     if overwrite or not all(_is_there(texts[number], place) for number, place in places.items()):
         _write(texts, places)
     try:
-        yield [str(places.get(number, text)) for number, text in enumerate(texts)]
+        yield [
+            f"{places[number]}{_split(text)[1]}" if number in places else text
+            for number, text in enumerate(texts)
+        ]
     finally:
         if places and not Path(out_dir).exists():
             shutil.rmtree(_folder_of(out_dir), ignore_errors=True)
@@ -42,11 +50,20 @@ def unpacked_places(names: Sequence[str], out_dir: PathLike) -> dict[int, Path]:
     """Return the places of the inputs that `unpacked` writes, by their numbers."""
     folder = _folder_of(out_dir)
     places = {number: folder / f"{stem}.tif" for number, stem in part_stems(names).items()}
-    return places | {number: folder / stem_of(name) for number, name in enumerate(names) if _hdf5_in(name)}
+    return places | {
+        number: folder / stem_of(_split(name)[0]) for number, name in enumerate(names) if _unread_in(name)
+    }
 
 
 def _folder_of(out_dir: PathLike) -> Path:
     return Path(f"{os.fspath(out_dir)}_inputs").absolute()
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Return the path of an input, and the bands that follow it after a colon."""
+    path, colon, bands = name.rpartition(":")
+    has_bands = bool(colon) and not part_of_jpeg(name) and not Path(name).exists() and Path(path).exists()
+    return (path, colon + bands) if has_bands else (name, "")
 
 
 def _write(names: Sequence[str], places: dict[int, Path]) -> None:
@@ -56,28 +73,50 @@ def _write(names: Sequence[str], places: dict[int, Path]) -> None:
             continue
         if scratch.holds(str(file)):
             scratch.copy(str(file), places[number].parent, overwrite=True)
-        for tree, member in _hdf5_in(names[number]):
-            tree.unpack(member, places[number])
+        members = _unread_in(names[number])
+        for tree, member in members:
+            path = tree.unpack(member, places[number]) if tree.prefix else tree.path / member
+            if path.name.endswith(_HDF4):
+                MODIS_FILES.write_rasters(path, [name_in(other) for _, other in members], places[number])
+                if tree.prefix:
+                    path.unlink()
 
 
 def _is_there(name: str, place: Path) -> bool:
-    """Whether what an input is unpacked to is there, and younger than the input."""
+    """Whether what an input is unpacked to is there, and younger than the input; of HDF4 it is never."""
     part = part_of_jpeg(name)
-    files = [place] if part else [place / name_in(member) for _, member in _hdf5_in(name)]
+    files = [place] if part else [place / name_in(member) for _, member in _unread_in(name)]
     try:
-        changed_ns = Path(part[0] if part else name).stat().st_mtime_ns
+        changed_ns = Path(part[0] if part else _split(name)[0]).stat().st_mtime_ns
         return all(file.stat().st_mtime_ns >= changed_ns for file in files)
     except OSError:
         return False
 
 
-def _hdf5_in(name: str) -> list[tuple[FileTree, str]]:
-    """Return the files of HDF5 in the archive of a product; they are checked and read outside of it only."""
-    path = Path(name)
+def _unread_in(name: str) -> list[tuple[FileTree, str]]:
+    """Return the files of a product that are not read where they lie: of HDF4, and of HDF5 in archives."""
+    path = Path(_split(name)[0])
     try:
-        tree = tree_of(path) if is_archive(path) and path.is_file() else None
+        if path.name.endswith(_HDF4):
+            tree = beside(path)
+            return [(tree, member) for member in MODIS_FILES.granule_of(path.name, tree.names)]
+        if is_folder(path):
+            tree = beside(path / "-")
+        elif is_archive(path) and path.is_file():
+            tree = tree_of(path)
+        else:
+            return []
     except (InputError, OSError, ValueError):  # it is told where the input is opened
         return []
-    members = [member for member in (tree.names if tree else ()) if member.lower().endswith(HDF5_ENDINGS)]
-    known = KINDS.ask(lambda kind: any(map(kind.marks, map(name_in, members))), bool)
-    return [(tree, member) for member in members] if tree and any(known) else []
+    members = [
+        member
+        for member in tree.names
+        if member.lower().endswith(HDF5_ENDINGS if tree.prefix else _HDF4) or member.endswith(_HDF4)
+    ]
+    names = [name_in(member) for member in members]
+    known = KINDS.ask(lambda kind: any(map(kind.marks, filter(_is_hdf5, names))), bool)
+    return [(tree, member) for member in members] if any(known) or MODIS_FILES.has_images(names) else []
+
+
+def _is_hdf5(name: str) -> bool:
+    return not name.endswith(_HDF4)

@@ -248,11 +248,3 @@ def test_an_archive_is_unpacked_beside_the_results(ecostress: Path, tmp_path: Pa
         assert [band.name for band in found.bands] == ["LST"]
         assert sorted(path.name for path in (tmp_path / "out_inputs" / "scene").iterdir()) == [GEO, LST]
     assert not (tmp_path / "out_inputs").exists()
-
-
-def test_modis_says_why_it_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "MOD021KM.A2024017.1720.061.2024018013245.hdf"
-    path.write_bytes(b"\x0e\x03\x13\x01")
-    for given in (path, tmp_path):
-        with pytest.raises(InputError, match=r"MOD021KM.* is a swath of MODIS in HDF4.*gdalwarp -geoloc"):
-            find_product(given)

@@ -43,9 +43,10 @@ STILL_INNER = {
     """,
     "raster": """
         BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera GDAL_ERRORS LIBRARY_ERRORS SWATH_FILES
-        MATCHING_GRIDS MM_PER_UNIT ONLY_PIXELS OUTPUT_GRIDS PLACEMENT Raster RasterLike SQLITE_HEAD Scratch
-        TERMS TiltedGrid Undulation VectorLayer Vertical accepted apply apply_bias bands_of
-        bias_error_px camera_of carried check_covered check_dataset check_format checked_vector composed
+        MATCHING_GRIDS MM_PER_UNIT MODIS_FILES ONLY_PIXELS OUTPUT_GRIDS PLACEMENT Raster RasterLike
+        SQLITE_HEAD Scratch TERMS TiltedGrid Undulation VectorLayer Vertical accepted apply apply_bias
+        bands_of
+        bias_error_px camera_of carried check_covered check_dataset check_format checked_vector
         corrected_outline corrected_transform covered_range current_trust derived_terms digest
         displacement_m exif_of expected_scale explained file_of files_of gcps_only geotransform_of
         grid_on_plane_of ground_grid guessed_scale has_quick_overview ignoring image_px is_archive

@@ -9,9 +9,9 @@ from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 
 from pcwlad_geo.limits import LIMITS
+from pcwlad_geo.raster.trust import hdf4, hdf5
 from pcwlad_geo.raster.trust.destinations import destination
 from pcwlad_geo.raster.trust.file_kinds import HEAD_BYTES, SIGNED_DRIVERS, Kind, kind_of_head
-from pcwlad_geo.raster.trust.hdf5 import reason_against
 from pcwlad_geo.raster.trust.local_files import Place, Stamp, UntrustedFileError
 from pcwlad_geo.raster.trust.vrt_elements import UntrustedVrtError, files_named_by, parse_vrt
 
@@ -54,9 +54,10 @@ def _checked(file: Place, visited: set[Place], *, any_driver: bool) -> Kind:
         return "other"  # checked already, a folder that the user has named, or nothing
     visited.add(file)
     kind = _kind(file, stamp)
-    if kind == "HDF5" and (reason := reason_against(file)):
+    reason_against = {"HDF4": hdf4.reason_against, "HDF5": hdf5.reason_against}.get(kind)
+    if reason_against is not None and (reason := reason_against(file)):
         raise UntrustedFileError(f"{file.uri}: {reason}" if any_driver else reason)
-    if any_driver and kind not in ("signed", "vrt", "classic netCDF", "HDF5"):
+    if any_driver and kind not in ("signed", "vrt", "classic netCDF", "HDF4", "HDF5"):
         raise UntrustedFileError(f"it needs {file.uri}, which is no raster of a common format")
     if kind == "vrt":
         _check_vrt(file, visited)

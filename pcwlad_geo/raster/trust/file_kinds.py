@@ -35,10 +35,11 @@ _SIGNATURES: Final = (
 _CLASSIC_NETCDF: Final = (b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _SQLITE: Final = b"SQLite format 3\0"
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
+_HDF4: Final = b"\x0e\x03\x13\x01"
 MARKS_OF_OTHERS: Final = (b"<GDALTileIndexDataset", b"<GDAL_WMS", b"<MRF_META")
 """GDAL searches for these beyond the beginning too, so a file with them may be opened by another driver."""
 
-Kind = Literal["vrt", "classic netCDF", "HDF5", "SQLite", "signed", "other"]
+Kind = Literal["vrt", "classic netCDF", "HDF5", "HDF4", "SQLite", "signed", "other"]
 
 
 def kind_of_head(head: bytes) -> Kind:
@@ -49,6 +50,8 @@ def kind_of_head(head: bytes) -> Kind:
         return "classic netCDF"
     if _HDF5 in head:
         return "HDF5"
+    if head.startswith(_HDF4):
+        return "HDF4"
     if head.startswith(_SQLITE):
         return "SQLite"
     if head.startswith(_SIGNATURES) and not any(mark in head for mark in MARKS_OF_OTHERS):

@@ -1,0 +1,107 @@
+"""HDF4, for which most builds of GDAL have no driver: its arrays, and GeoTIFFs of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+
+from pcwlad_geo.errors import InputError
+from pcwlad_geo.limits import LIMITS
+from pcwlad_geo.raster.geolocation import DOMAIN
+from pcwlad_geo.raster.opening import check_source
+from pcwlad_geo.raster.writing import scratch_folder, sink
+
+
+class Hdf4File:
+    """An open file."""
+
+    def __init__(self, opened: Any) -> None:  # noqa: ANN401  # pyhdf has no types
+        self._opened = opened
+        self.shapes: dict[str, tuple[int, ...]] = {
+            name: tuple(np.atleast_1d(shape).tolist()) for name, (_, shape, *_) in opened.datasets().items()
+        }
+        """Shapes of the arrays, by name."""
+
+    def attributes(self, name: str) -> dict[str, Any]:
+        """Return the attributes of an array."""
+        return dict(self._opened.select(name).attributes())
+
+    def plane(self, name: str, number: int = 0) -> NDArray[Any]:
+        """Return the (rows, cols) values of an array, or of one of its planes.
+
+        Raises `ValueError` if it has none, or more than can be read.
+        """
+        *planes, rows, cols = self.shapes[name]
+        if len(planes) > 1 or rows * cols > LIMITS.file_px:
+            raise ValueError(f"{name} has the shape {self.shapes[name]}")
+        start, count = ([number] * len(planes), [1] * len(planes))
+        values = self._opened.select(name).get(start=[*start, 0, 0], count=[*count, rows, cols])
+        return np.reshape(values, (rows, cols))
+
+
+@contextmanager
+def open_hdf4(path: Path) -> Iterator[Hdf4File]:
+    """Open an HDF4 file, after the check that all of it is inside.
+
+    Raises `InputError` if it is damaged or lacks what is read, or pyhdf is missing, and `TrustError` if it
+    refers to other files.
+    """
+    check_source(str(path))
+    try:
+        from pyhdf.error import HDF4Error  # optional, and rarely needed
+        from pyhdf.SD import SD
+    except ImportError as error:
+        raise InputError(f"{path}: pip install 'pcwlad-geo[hdf4]' to read HDF4") from error
+    try:
+        opened = SD(str(path))
+        try:
+            yield Hdf4File(opened)
+        finally:
+            opened.end()
+    except (HDF4Error, ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(f"{path} is damaged, or lacks a part: {error}; get it again") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """What a GeoTIFF of arrays says besides their values."""
+
+    names: Sequence[str] = ()
+    """Descriptions of the bands."""
+    nodata: float | None = None
+    scales: Sequence[float] = ()
+    offsets: Sequence[float] = ()
+    """Physical value = number · scale + offset."""
+    geolocation: Mapping[str, str] = field(default_factory=dict)
+    """GDAL's metadata domain GEOLOCATION."""
+    transform: Affine | None = None
+    crs: CRS | None = None
+
+
+def write_planes(path: Path, planes: Iterator[NDArray[Any]], count: int, labels: Labels) -> None:
+    """Write (rows, cols) `planes` as the bands of a GeoTIFF; raise `OutputError` if that is impossible."""
+    first = next(planes)
+    rows, cols = first.shape
+    profile = {"driver": "GTiff", "height": rows, "width": cols, "count": count, "dtype": first.dtype.name}
+    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "interleave": "band", "sparse_ok": False}
+    profile |= {"nodata": labels.nodata, "crs": labels.crs}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with scratch_folder(path) as folder:
+        with sink(folder / path.name, profile) as file:
+            if labels.transform is not None:
+                file.transform = labels.transform
+            for number in range(1, count + 1):
+                file.write(first if number == 1 else next(planes), number)
+            file.scales, file.offsets = labels.scales or [1.0] * count, labels.offsets or [0.0] * count
+            file.descriptions = labels.names or [None] * count
+            if labels.geolocation:
+                file.update_tags(ns=DOMAIN, **labels.geolocation)
+        (folder / path.name).replace(path)
