@@ -130,7 +130,7 @@ def _with_frame_evidence(
     Points of a file are only doubted.
     """
     pair, evidence = matches.pair, _frame_evidence(matches, parameters)
-    if evidence is None or evidence.doubt is None:
+    if evidence is None or evidence.doubt is None or _is_other_motion(evidence, matches, parameters):
         return matches
     from_file = pair.settings.tie_points is not None
     if evidence.ground_px is not None and not from_file and pair.reference.grid == pair.target.grid:
@@ -148,6 +148,17 @@ def _with_frame_evidence(
         return replace(matches, decision=matches.decision.refused(evidence.doubt))
     log.warn(evidence.doubt)
     return replace(matches, decision=with_doubts(matches.decision, Doubt("poor", evidence.doubt)))
+
+
+def _is_other_motion(evidence: FrameEvidence, matches: Matches, parameters: PairParameters) -> bool:
+    """Return whether the ground that it proposes is what moves otherwise, as clouds over it do.
+
+    Of images with georeferencing the motions were weighed already: the ground's is likelier near none.
+    """
+    if evidence.ground_px is None or not matches.pair.georeferenced:
+        return False
+    ways = [np.subtract(motion.displacement_px, evidence.ground_px) for motion in matches.motions[1:]]
+    return any(np.hypot(*way) <= parameters.scene.motions.judge.agree_px for way in ways)
 
 
 def _frame_evidence(matches: Matches, parameters: PairParameters) -> FrameEvidence | None:
