@@ -124,6 +124,8 @@ def test_every_two_crs_agree(scene: str, tmp_path: Path) -> None:
     rasters = SCENES[scene]
     (tmp_path / "moved").mkdir()
     for reference, target in pairwise(rasters):
+        if (reference.name, target.name) == ("lonlat to 180", "lonlat from -180"):
+            continue  # they only touch
         found = register_pair(
             reference.write(tmp_path), target.write(tmp_path / "moved", SHIFT_PX), SETTINGS, match_only=True
         )
