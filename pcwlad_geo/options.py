@@ -217,13 +217,16 @@ class Settings:
         most=LIMITS.basemap_zoom,
     )
     dem: Path | str | None = option(
-        None, "Heights of the ground, for images with RPCs and Sentinel-1 GRD.", _PLACING, metavar="FILE"
+        None,
+        "Heights of the ground, for images with RPCs and Sentinel-1 GRD.",
+        (*_PLACING, "qa"),
+        metavar="FILE",
     )
     dem_vertical: float | Path | str | None = option(
         None,
         "Metres, or a geoid grid, to add to the DEM's heights to get heights above the ellipsoid (0: they are"
         " such), if its CRS does not say it.",
-        _PLACING,
+        (*_PLACING, "qa"),
         metavar="METRES|GRID",
         check=_DATUM,
     )

@@ -148,7 +148,7 @@ def test_qa_of_a_safe_compares_bands_of_three_pixel_sizes(safe: Path, tmp_path: 
     ("option", "message"),
     [
         ({"tie_points": "points.csv"}, "tie_points is for register"),
-        ({"dem": "dem.tif"}, "dem is for an image with RPCs"),
+        ({"dem": "dem.tif"}, "dem is for images of Sentinel-1, and there is none"),
         ({"tgt_mask": "mask.tif"}, "tgt_mask is for a single pair: give mask"),
         ({"ref_band": 2}, "ref_band is for a single pair: give bands"),
     ],

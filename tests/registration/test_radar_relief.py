@@ -11,6 +11,7 @@ import rasterio
 import pcwlad_geo
 from pcwlad_geo.errors import RegistrationRejectedError
 from pcwlad_geo.job import match_files
+from pcwlad_geo.multi.qa.run import qa
 from pcwlad_geo.options import Settings
 from pcwlad_geo.raster import WGS84, Grid, describe, transform_xy
 from pcwlad_geo.registration.rpc import place_target
@@ -91,3 +92,27 @@ def test_it_is_registered_with_dem(files: tuple[Path, Path, Path], tmp_path: Pat
     assert 0.6 < shown.mean() < 0.9
     seen = render(grid, noise=0.0) * 20
     assert np.corrcoef(values[shown], seen[shown])[0, 1] > 0.5
+
+
+def test_a_stack_and_qa_place_it_alike(files: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    reference, safe, dem = files
+    options = {"dem": dem, "dem_vertical": 0.0, **SMALL}
+    (pair,) = qa([reference, safe], out_dir=tmp_path / "qa", **options).pairs  # type: ignore[arg-type]
+    assert pair.status == "measured"
+    assert pair.points is not None
+    lon_lat = transform_xy(pair.points.xy, CRS_OF_SCENE, WGS84)
+    truth = RADAR.pixels(np.column_stack([lon_lat, ground(lon_lat)]))
+    np.testing.assert_allclose(pair.points.predicted_px, truth, rtol=0, atol=0.1)
+    assert np.abs(np.median(pair.points.displacement_px, axis=0)).max() < 0.1
+    options["model"] = "shift"
+    out = pcwlad_geo.stack([safe, reference], out_dir=tmp_path / "stack", **options)  # type: ignore[arg-type]
+    assert (out.reference, out.pairs[0].status) == ("reference", "used")
+    (radar,) = (image for image in out.images if image.rpc is not None)
+    assert radar.rpc is not None
+    assert radar.rpc.vrt is None  # an RPC alone does not place it
+    at_px = np.array([[60.0, 60.0], [130.0, 200.0], [200.0, 90.0]])
+    assert np.abs(radar.correction.forward(at_px) - at_px).max() < 0.15
+    with rasterio.open(radar.registered) as file:
+        grid, values = Grid(file.shape, file.transform, file.crs), file.read(1)
+    shown = values > 0
+    assert np.corrcoef(values[shown], render(grid, noise=0.0)[shown])[0, 1] > 0.5

@@ -50,10 +50,7 @@ NOT_HERE: Final = {
     **dict.fromkeys(("ref_band", "tgt_band"), "is for a single pair: give bands"),
     **dict.fromkeys(("ref_mask", "tgt_mask"), "is for a single pair: give mask"),
     "tie_points": "is for register: a stack is measured by matching it",
-    **dict.fromkeys(
-        ("dem", "dem_vertical", "trust_rpc"),
-        "is for an image with RPCs: give bands on a map grid (gdalwarp -rpc)",
-    ),
+    "trust_rpc": "is for an image with RPCs: give bands on a map grid (gdalwarp -rpc)",
 }
 """Settings that the band QA chooses for each pair, or that would change the displacements.
 
@@ -137,6 +134,7 @@ def qa(
     folder = OutputFolder(qa_folder(rasters, out_dir), overwrite=overwrite, results=QA_FILES["numbers"])
     with trusting(settings.trust), unpacked(rasters, folder.out_dir, overwrite=overwrite) as files:
         stack = with_native_px(list_bands(files, numbers, mask), native_px)
+        _check_heights(stack, settings)
         base = find_band(stack, against) if against is not None else None
         planned = list(combinations(stack, 2))
         if base is not None:
@@ -248,13 +246,29 @@ def _why_unreadable(band: Band) -> str | None:
     return None
 
 
+def _check_heights(stack: Sequence[Band], settings: Settings) -> None:
+    """Raise `SettingsError` where heights are given for bands that they place nowhere."""
+    if settings.dem is not None and not any(map(_is_radar, stack)):
+        raise SettingsError(
+            "dem is for images of Sentinel-1, and there is none: give bands on a map grid (gdalwarp -rpc)"
+        )
+
+
+def _is_radar(band: Band) -> bool:
+    """Whether a band is placed by an annotation and heights, if there are some."""
+    return band.info.relief_m is not None
+
+
 def _match(
     reference: Band, target: Band, settings: Settings, on_event: EventCallback, runner: Runner
 ) -> PairResult:
     from pcwlad_geo.registration import register_pair  # slow to load: the workers start meanwhile
 
+    by_heights = _is_radar(reference) or _is_radar(target)
     pair_settings = replace(
         settings,
+        dem=settings.dem if by_heights else None,
+        dem_vertical=settings.dem_vertical if by_heights else Settings().dem_vertical,
         ref_band=reference.info.band,
         tgt_band=target.info.band,
         ref_mask=reference.info.mask_uri,

@@ -34,10 +34,10 @@ class RpcFiles:
     """File or tag in which the original was found."""
     fold_error_px: float | None
     """Largest difference between the corrected RPC and the original one with its correction, px."""
-    vrt: str
-    """File name of the original pixels with the corrected RPC."""
-    text: str
-    """File name of the corrected RPC as text."""
+    vrt: str | None
+    """File name of the original pixels with the corrected RPC; null where that alone does not place them."""
+    text: str | None
+    """File name of the corrected RPC as text, or null."""
     corrected: RpcModel
 
 

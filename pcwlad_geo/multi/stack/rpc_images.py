@@ -44,11 +44,17 @@ class PlacedImages:
 
 def has_rpcs(infos: Sequence[RasterInfo], settings: Settings) -> bool:
     """Return whether images are to be placed by RPCs: one has no other georeferencing, or there is a DEM."""
-    return settings.dem is not None or any(_rpc_of(info) is not None for info in infos)
+    unplaced = (info for info in infos if not info.georeferenced)
+    return settings.dem is not None or any(_rpc_of(info) is not None for info in unplaced)
+
+
+def _is_on_map(info: RasterInfo) -> bool:
+    """Whether an image has a place by more than control points of radar, which know no heights."""
+    return info.georeferenced and info.relief_m is None
 
 
 def _rpc_of(info: RasterInfo) -> RpcSource | None:
-    return None if info.georeferenced else read_rpc(info.uri)
+    return None if _is_on_map(info) else read_rpc(info.uri)
 
 
 def place_images(
@@ -80,7 +86,7 @@ def place_images(
     on_map = [
         name
         for name, info in zip(names, infos, strict=True)
-        if info.georeferenced and info.grid.crs is not None
+        if _is_on_map(info) and info.grid.crs is not None
     ]
     base = reference if reference in on_map else on_map[0] if on_map else None
     images: list[tuple[StackInput, RasterInfo, RpcPlacement | None]] = []

@@ -57,9 +57,10 @@ def write_images(
         how = BandOutput(grid, settings.resampling, tagged, folder / image.registered.name)
         corrected, stage = image.rpc.registration.corrected_grid, image.registered.parent
         orthorectify_band(image.path, image.registered, corrected, how, quiet)
-        vrt = image.rpc.vrt
-        write_rpc_vrt(stage / vrt, image.path, to_gdal(corrected.rpc), final_path=folder / vrt)
-        write_rpc_text(corrected.rpc, stage / image.rpc.text)
+        vrt, text = image.rpc.vrt, image.rpc.text
+        if vrt and text:
+            write_rpc_vrt(stage / vrt, image.path, to_gdal(corrected.rpc), final_path=folder / vrt)
+            write_rpc_text(corrected.rpc, stage / text)
     on_event(Progress("images", len(result.images), len(result.images)))
 
 

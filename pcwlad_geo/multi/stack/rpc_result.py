@@ -148,7 +148,8 @@ def _image(
     rpc = None
     if placement is not None:
         corrected = corrected_rpc(placement, correction)
-        vrt, text = rpc_names([frame.names[number]])
+        exact = corrected.original.shifts is None
+        vrt, text = rpc_names([frame.names[number]]) if exact else (None, None)
         rpc = ImageRpc(
             corrected.origin, corrected.bias_error_px, vrt, text, corrected.corrected_grid.rpc, corrected
         )
