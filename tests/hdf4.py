@@ -10,8 +10,11 @@ import numpy as np
 Arrays = dict[str, tuple[np.ndarray, dict[str, Any]]]
 
 
-def write_hdf4(path: Path, arrays: Arrays) -> Path:
-    """Write compressed arrays with attributes: text, whole numbers, or lists of numbers."""
+def write_hdf4(path: Path, arrays: Arrays, structure: str = "") -> Path:
+    """Write compressed arrays with attributes: text, whole numbers, or lists of numbers.
+
+    Those of a swath of HDF-EOS, whose `structure` is told, are named ``swath:name``.
+    """
     sd: Any = __import__("pyhdf.SD").SD
     types = {
         "uint8": sd.SDC.UINT8,
@@ -23,7 +26,10 @@ def write_hdf4(path: Path, arrays: Arrays) -> Path:
     path.parent.mkdir(exist_ok=True, parents=True)
     file = sd.SD(str(path), sd.SDC.WRITE | sd.SDC.CREATE | sd.SDC.TRUNC)
     for name, (values, attributes) in arrays.items():
-        array = file.create(name, types[values.dtype.name], values.shape)
+        swath, _, own_name = name.rpartition(":")
+        array = file.create(own_name, types[values.dtype.name], values.shape)
+        for axis, size in enumerate(values.shape if swath else ()):
+            array.dim(axis).setname(f"Axis{axis}of{size}:{swath}")
         array.setcompress(sd.SDC.COMP_DEFLATE, 1)
         array[:] = values
         for key, value in attributes.items():
@@ -32,5 +38,7 @@ def write_hdf4(path: Path, arrays: Arrays) -> Path:
             else:
                 setattr(array, key, value)
         array.endaccess()
+    if structure:
+        setattr(file, "StructMetadata.0", structure)
     file.end()
     return path

@@ -38,6 +38,7 @@ KINDS: Final = Registry(
         "pcwlad_geo.products.swaths:ECOSTRESS_SWATH",
         "pcwlad_geo.products.swaths:VIIRS_L1B",
         "pcwlad_geo.products.modis:MODIS",
+        "pcwlad_geo.products.aster:ASTER",
         "pcwlad_geo.products.stac:STAC",
     ),
 )

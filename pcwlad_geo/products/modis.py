@@ -12,29 +12,31 @@ from pcwlad_geo.products.kind import ProductKind
 from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree, open_raster
 from pcwlad_geo.raster.file_tree import name_in
-from pcwlad_geo.raster.modis_files import MODIS_FILES
+from pcwlad_geo.raster.hdf4_files import HDF4_FILES
+
+_MODIS: Final = HDF4_FILES.modis
 
 
 def _find(tree: FileTree) -> Product | None:
-    images = [name for name in tree.names if MODIS_FILES.raster.fullmatch(name_in(name))]
+    images = [name for name in tree.names if _MODIS.raster.fullmatch(name_in(name))]
     return _product(tree, images, str(tree.path)) if len(_granules(images)) == 1 else None
 
 
 def _of_file(path: Path) -> Product | None:
-    if MODIS_FILES.hdf4.fullmatch(path.name):
+    if _MODIS.hdf4.fullmatch(path.name):
         raise InputError(
             f"{path} is HDF4, which register, match, prove, qa, stack and batch read: they write GeoTIFFs of "
             "it beside their results"
         )
-    if not MODIS_FILES.raster.fullmatch(path.name):
+    if not _MODIS.raster.fullmatch(path.name):
         return None
-    clear = sorted(file.name for file in (path.parent / MODIS_FILES.beside).glob("*_clear.tif"))
-    tree = FileTree(path.parent, (path.name, *(f"{MODIS_FILES.beside}/{name}" for name in clear)))
+    clear = sorted(file.name for file in (path.parent / _MODIS.beside).glob("*_clear.tif"))
+    tree = FileTree(path.parent, (path.name, *(f"{_MODIS.beside}/{name}" for name in clear)))
     return replace(_product(tree, [path.name], str(path)), of_one_file=True)
 
 
 def _granules(names: Sequence[str]) -> set[tuple[str, ...]]:
-    found = map(MODIS_FILES.raster.fullmatch, map(name_in, names))
+    found = map(_MODIS.raster.fullmatch, map(name_in, names))
     return {match.group("satellite", "kind", "time") for match in found if match}
 
 
@@ -50,7 +52,7 @@ def _product(tree: FileTree, images: Sequence[str], path: str) -> Product:
     clouds = f"{satellite}35_L2.{time}_clear.tif"
     clear = [*tree.named(f"{satellite}{kind}.{time}.*_clear.tif"), *tree.named(clouds)]
     mask = tree.uri(clear[-1]) if clear else None
-    if mask and (step := MODIS_FILES.step(kind)) > 1:
+    if mask and (step := _MODIS.step(kind)) > 1:
         mask = f"vrt://{mask}?outsize={step}00%,{step}00%"
     ordered = sorted(bands, key=lambda band: (len(band.name.rstrip("hilo")), band.name))  # B2 before B13lo
     return Product(
@@ -63,14 +65,14 @@ def _part(names: Sequence[str]) -> str | None:
     count = len(_granules(names))
     if count > 1:
         return f"{count} granules of MODIS: give the file of one"
-    if any(map(MODIS_FILES.hdf4.fullmatch, names)):
-        return f"parts of a granule of MODIS without its images: add {MODIS_FILES.example}"
+    if any(map(_MODIS.hdf4.fullmatch, names)):
+        return f"parts of a granule of MODIS without its images: add {_MODIS.example}"
     return None
 
 
 MODIS: Final = ProductKind(
     name="MODIS",
-    marks=lambda name: bool(MODIS_FILES.hdf4.fullmatch(name) or MODIS_FILES.raster.fullmatch(name)),
+    marks=lambda name: bool(_MODIS.hdf4.fullmatch(name) or _MODIS.raster.fullmatch(name)),
     find=_find,
     of_file=_of_file,
     part=_part,

@@ -23,7 +23,9 @@ DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\
 _DAY_OF_YEAR: Final = re.compile(
     r"(?<!\d)((?:19|20)\d\d(?:[0-2]\d\d|3[0-5]\d|36[0-6]))(?:T\d{6}|\.\d{4})(?!\d)"
 )
-"""A date and time in the names of HLS and VIIRS, with the number of the day in its year."""
+"""A date and time in the names of HLS, VIIRS and MODIS, with the number of the day in its year."""
+_OF_ASTER: Final = re.compile(r"AST_(?:L1B|08)_\d{3}(?P<month_day>[01]\d[0-3]\d)(?P<year>20\d\d)\d{6}_.*")
+"""A name of ASTER, whose second date is that of the processing."""
 RASTERS: Final = (".tif", ".tiff", ".vrt", ".jp2", ".img")
 """Endings of the files of a folder that are taken for images."""
 PICTURES: Final = (".jpg", ".jpeg", ".png")
@@ -35,7 +37,7 @@ HDF5_ENDINGS: Final = (".h5", ".he5", ".nc")
 
 def date_in(path: str) -> str | None:
     """Return the date, ISO 8601, in the last part of a path that tells one."""
-    parts = list(reversed(Path(path).parts))
+    parts = [_OF_ASTER.sub(r"\g<year>\g<month_day>", part) for part in reversed(Path(path).parts)]
     match = next(filter(None, map(DATE.search, parts)), None)
     if match:
         return f"{match[1]}-{match[3]}-{match[4]}"

@@ -15,7 +15,7 @@ from pcwlad_geo.products.jpeg_parts import part_files, part_stems
 from pcwlad_geo.products.names import HDF5_ENDINGS, beside
 from pcwlad_geo.raster import FileTree, is_folder
 from pcwlad_geo.raster.file_tree import is_archive, name_in, tree_of
-from pcwlad_geo.raster.modis_files import MODIS_FILES
+from pcwlad_geo.raster.hdf4_files import HDF4_FILES
 from pcwlad_geo.raster.scratch import Scratch
 from pcwlad_geo.text import part_of_jpeg
 from pcwlad_geo.types import PathLike
@@ -77,7 +77,7 @@ def _write(names: Sequence[str], places: dict[int, Path]) -> None:
         for tree, member in members:
             path = tree.unpack(member, places[number]) if tree.prefix else tree.path / member
             if path.name.endswith(_HDF4):
-                MODIS_FILES.write_rasters(path, [name_in(other) for _, other in members], places[number])
+                HDF4_FILES.write_rasters(path, [name_in(other) for _, other in members], places[number])
                 if tree.prefix:
                     path.unlink()
 
@@ -99,7 +99,7 @@ def _unread_in(name: str) -> list[tuple[FileTree, str]]:
     try:
         if path.name.endswith(_HDF4):
             tree = beside(path)
-            return [(tree, member) for member in MODIS_FILES.granule_of(path.name, tree.names)]
+            return [(tree, member) for member in HDF4_FILES.granule_of(path.name, tree.names)]
         if is_folder(path):
             tree = beside(path / "-")
         elif is_archive(path) and path.is_file():
@@ -115,7 +115,7 @@ def _unread_in(name: str) -> list[tuple[FileTree, str]]:
     ]
     names = [name_in(member) for member in members]
     known = KINDS.ask(lambda kind: any(map(kind.marks, filter(_is_hdf5, names))), bool)
-    return [(tree, member) for member in members] if any(known) or MODIS_FILES.has_images(names) else []
+    return [(tree, member) for member in members] if any(known) or HDF4_FILES.has_images(names) else []
 
 
 def _is_hdf5(name: str) -> bool:

@@ -25,14 +25,25 @@ class Hdf4File:
 
     def __init__(self, opened: Any) -> None:  # noqa: ANN401  # pyhdf has no types
         self._opened = opened
-        self.shapes: dict[str, tuple[int, ...]] = {
-            name: tuple(np.atleast_1d(shape).tolist()) for name, (_, shape, *_) in opened.datasets().items()
-        }
-        """Shapes of the arrays, by name."""
+        self._numbers: dict[str, int] = {}
+        self.shapes: dict[str, tuple[int, ...]] = {}
+        """Shapes of the arrays by name; of swaths of HDF-EOS, of which several have the same, by
+        ``swath:name`` too."""
+        for number in range(opened.info()[0]):
+            array = opened.select(number)
+            name, rank, shape, *_ = array.info()
+            swath = array.dim(0).info()[0].partition(":")[2] if rank else ""
+            for key in {name, f"{swath}:{name}" if swath else name} - self._numbers.keys():
+                self._numbers[key], self.shapes[key] = number, tuple(np.atleast_1d(shape).tolist())
+
+    @property
+    def structure(self) -> str:
+        """How HDF-EOS tells the structure of its swaths; empty of other files."""
+        return str(self._opened.attributes().get("StructMetadata.0", ""))
 
     def attributes(self, name: str) -> dict[str, Any]:
         """Return the attributes of an array."""
-        return dict(self._opened.select(name).attributes())
+        return dict(self._opened.select(self._numbers[name]).attributes())
 
     def plane(self, name: str, number: int = 0) -> NDArray[Any]:
         """Return the (rows, cols) values of an array, or of one of its planes.
@@ -43,7 +54,9 @@ class Hdf4File:
         if len(planes) > 1 or rows * cols > LIMITS.file_px:
             raise ValueError(f"{name} has the shape {self.shapes[name]}")
         start, count = ([number] * len(planes), [1] * len(planes))
-        values = self._opened.select(name).get(start=[*start, 0, 0], count=[*count, rows, cols])
+        values = self._opened.select(self._numbers[name]).get(
+            start=[*start, 0, 0], count=[*count, rows, cols]
+        )
         return np.reshape(values, (rows, cols))
 
 

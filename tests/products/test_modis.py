@@ -21,7 +21,7 @@ from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.products.product import Product
 from pcwlad_geo.products.unpacking import unpacked
 from pcwlad_geo.raster import WGS84, describe, open_raster, transform_xy
-from pcwlad_geo.raster.modis_files import MODIS_FILES
+from pcwlad_geo.raster.hdf4_files import HDF4_FILES
 from tests.hdf4 import Arrays, write_hdf4
 from tests.product_files import packed
 from tests.scenes import make_grid, render, write
@@ -176,12 +176,12 @@ def test_values_of_another_file_are_not_read(modis: Path, tmp_path: Path) -> Non
     array.endaccess()
     file.end()
     with pytest.raises(TrustError, match="an array of it holds the values of another file: give --trust-vrt"):
-        MODIS_FILES.write_rasters(tmp_path / IMAGE, [IMAGE], tmp_path / "out")
+        HDF4_FILES.write_rasters(tmp_path / IMAGE, [IMAGE], tmp_path / "out")
     data = bytearray((modis / PLACES).read_bytes())
     data[6:10] = (4).to_bytes(4, "big")  # the list of elements goes on where it began
     (tmp_path / PLACES).write_bytes(data)
     with pytest.raises(TrustError, match="has no end"):
-        MODIS_FILES.write_rasters(tmp_path / PLACES, [PLACES], tmp_path / "out")
+        HDF4_FILES.write_rasters(tmp_path / PLACES, [PLACES], tmp_path / "out")
 
 
 def test_an_archive_and_granules_of_a_folder_are_written(modis: Path, tmp_path: Path) -> None:

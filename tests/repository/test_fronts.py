@@ -42,8 +42,8 @@ STILL_INNER = {
         plan read_overviews set_up
     """,
     "raster": """
-        BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera GDAL_ERRORS LIBRARY_ERRORS SWATH_FILES
-        MATCHING_GRIDS MM_PER_UNIT MODIS_FILES ONLY_PIXELS OUTPUT_GRIDS PLACEMENT Raster RasterLike
+        BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera GDAL_ERRORS HDF4_FILES LIBRARY_ERRORS
+        SWATH_FILES MATCHING_GRIDS MM_PER_UNIT ONLY_PIXELS OUTPUT_GRIDS PLACEMENT Raster RasterLike
         SQLITE_HEAD Scratch TERMS TiltedGrid Undulation VectorLayer Vertical accepted apply apply_bias
         bands_of
         bias_error_px camera_of carried check_covered check_dataset check_format checked_vector
