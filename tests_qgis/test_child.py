@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 from conftest import PATIENCE_S, Feedback
-from pcwlad_geo_qgis.process import child
+from pcwlad_geo_qgis import text
+from pcwlad_geo_qgis.process import child, page
 from pcwlad_geo_qgis.process.engine import Engine
 from pcwlad_geo_qgis.process.protocol import RunError, _Conversation, run_engine
 
@@ -99,6 +100,25 @@ def test_events_become_progress_warnings_and_the_result(tmp_path: Path) -> None:
     assert 35.0 in feedback.percent
     assert feedback.warnings == ["Überlappung"]
     assert {"a stray line", "auf stderr: ü", "another"} <= set(feedback.lines)
+
+
+@pytest.mark.parametrize(("command", "spoken"), [("register", "Zahlen"), ("stack", "Numbers")])
+def test_pages_of_a_pair_are_written_in_the_language_of_qgis(
+    command: str, spoken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    german = {"en": "de", "Numbers": "Zahlen"}
+    monkeypatch.setattr(text._Language, "translate", staticmethod(lambda said: german.get(said, said)))
+    page.text_of.cache_clear()
+    for name in ("a.html", "b.html"):
+        (tmp_path / name).write_text("<h2>Numbers</h2>", encoding="utf-8")
+    source = 'print(json.dumps({"event": "result", "paths": {"report": "a.html", "table": "a.csv"}}))'
+    run_engine(stand_in(tmp_path, source), [command], Feedback(), tmp_path)
+    source = 'print(json.dumps({"event": "error", "message": "no (report: b.html)", "exit_status": 3}))'
+    with pytest.raises(RunError):
+        run_engine(stand_in(tmp_path, source), [command], Feedback(), tmp_path)
+    said = [(tmp_path / name).read_text(encoding="utf-8") for name in ("a.html", "b.html")]
+    assert said == [f"<h2>{spoken}</h2>"] * 2
+    page.text_of.cache_clear()
 
 
 def seen_while_waiting(tmp_path: Path, first: dict[str, Any], then: dict[str, Any], to: float) -> Feedback:

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from conftest import Finished
 from osgeo import gdal
+from qgis.core import QgsPointXY
+from qgis.PyQt.QtCore import QObject, Qt
 from test_window import PICTURES, keep_pictures, run_in_window
 
 WRONG_PX = (60.0, -45.0)
@@ -45,6 +47,26 @@ def seen(
     if PICTURES:
         keep_pictures(folder, Path(PICTURES))
     return found
+
+
+def test_a_long_table_is_sorted_by_values_that_are_asked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pcwlad_geo_qgis.process.points import Point, Points
+    from pcwlad_geo_qgis.widgets.points_table import PointsModel, SortedPoints
+
+    lengths = [*np.random.default_rng(3).uniform(0.1, 9.0, 199).tolist(), float("nan")]
+    points = Points([Point(k, 0.0, 0.0, (0.0, 0.0), 0.1, "fit", (at, 0.0)) for k, at in enumerate(lengths)])
+    asked, value = [], PointsModel.value
+    monkeypatch.setattr(PointsModel, "value", lambda self, *cell: asked.append(cell) or value(self, *cell))
+    parent = QObject()
+    model = PointsModel(points, lambda row: QgsPointXY())
+    table = SortedPoints(points, model, parent)
+    table.sort(model.residual_column, Qt.SortOrder.DescendingOrder)
+    rows = [table.mapToSource(table.index(row, 0)).row() for row in range(200)]
+    assert rows == [*sorted(range(199), key=lambda row: -lengths[row]), 199]
+    assert len(asked) == 200
+    points.points[rows[5]].residual_px = (20.0, 0.0)
+    model.refresh()
+    assert table.mapToSource(table.index(0, 0)).row() == rows[5]
 
 
 def test_a_file_without_points_is_told(seen: dict[str, Any]) -> None:

@@ -1393,7 +1393,7 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     </message>
     <message>
       <source>check</source>
-      <translation>Kontrolle</translation>
+      <translation>Kontr.</translation>
     </message>
     <message>
       <source>unused</source>
@@ -1506,6 +1506,1362 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>The tie points in {} cannot be read.</source>
       <translation>Die Verknüpfungspunkte in {} sind nicht lesbar.</translation>
+    </message>
+    <message>
+      <source>en</source>
+      <translation>de</translation>
+    </message>
+    <message>
+      <source>Registered</source>
+      <translation>Registriert</translation>
+    </message>
+    <message>
+      <source>Registered, with care</source>
+      <translation>Registriert, mit Vorsicht</translation>
+    </message>
+    <message>
+      <source>Registered, poorly</source>
+      <translation>Registriert, aber schlecht</translation>
+    </message>
+    <message>
+      <source>{}, but a requirement is not met</source>
+      <translation>{}, aber eine Anforderung ist nicht erfüllt</translation>
+    </message>
+    <message>
+      <source>Matched</source>
+      <translation>Zugeordnet</translation>
+    </message>
+    <message>
+      <source>Could not be registered reliably</source>
+      <translation>Nicht verlässlich zu registrieren</translation>
+    </message>
+    <message>
+      <source>Tie points matched</source>
+      <translation>Verknüpfungspunkte gefunden</translation>
+    </message>
+    <message>
+      <source>Registered: {} to {}</source>
+      <translation>Registriert: {} auf {}</translation>
+    </message>
+    <message>
+      <source>Registered, with care: {} to {}</source>
+      <translation>Registriert, mit Vorsicht: {} auf {}</translation>
+    </message>
+    <message>
+      <source>Registered, poorly: {} to {}</source>
+      <translation>Registriert, aber schlecht: {} auf {}</translation>
+    </message>
+    <message>
+      <source>Could not be registered reliably: {} to {}</source>
+      <translation>Nicht verlässlich zu registrieren: {} auf {}</translation>
+    </message>
+    <message>
+      <source>Tie points matched: {} to {}</source>
+      <translation>Verknüpfungspunkte gefunden: {} auf {}</translation>
+    </message>
+    <message>
+      <source>{}, but a requirement is not met: {} to {}</source>
+      <translation>{}, aber eine Anforderung ist nicht erfüllt: {} auf {}</translation>
+    </message>
+    <message>
+      <source>({}) to</source>
+      <translation>({}) auf</translation>
+    </message>
+    <message>
+      <source>({})</source>
+      <translation>({})</translation>
+    </message>
+    <message>
+      <source>Before and after</source>
+      <translation>Vergleich</translation>
+    </message>
+    <message>
+      <source>The whole scene</source>
+      <translation>Die ganze Szene</translation>
+    </message>
+    <message>
+      <source>Numbers</source>
+      <translation>Zahlen</translation>
+    </message>
+    <message>
+      <source>Coverage</source>
+      <translation>Abdeckung</translation>
+    </message>
+    <message>
+      <source>Residuals</source>
+      <translation>Restfehler</translation>
+    </message>
+    <message>
+      <source>Jitter and stripes</source>
+      <translation>Jitter und Streifen</translation>
+    </message>
+    <message>
+      <source>Predicted sigma of the correction</source>
+      <translation>Vorhergesagtes Sigma der Korrektur</translation>
+    </message>
+    <message>
+      <source>The tool's own error on this pair</source>
+      <translation>Der eigene Fehler des Programms an diesem Paar</translation>
+    </message>
+    <message>
+      <source>The tool's own error: {} to {}</source>
+      <translation>Der eigene Fehler des Programms: {} auf {}</translation>
+    </message>
+    <message>
+      <source>On this pair the matching itself errs by {} px</source>
+      <translation>An diesem Paar irrt die Zuordnung selbst um {} px</translation>
+    </message>
+    <message>
+      <source>90 % of the tie points, moved by known amounts:</source>
+      <translation>90 % der Verknüpfungspunkte, um bekannte Beträge bewegt:</translation>
+    </message>
+    <message>
+      <source>All figures:</source>
+      <translation>Alle Zahlen:</translation>
+    </message>
+    <message>
+      <source>Warp it yourself</source>
+      <translation>Selbst umrechnen</translation>
+    </message>
+    <message>
+      <source>Files</source>
+      <translation>Dateien</translation>
+    </message>
+    <message>
+      <source>Inputs, settings and versions</source>
+      <translation>Eingaben, Einstellungen und Versionen</translation>
+    </message>
+    <message>
+      <source>When the figures are bad: what to do</source>
+      <translation>Wenn die Zahlen schlecht sind: was zu tun ist</translation>
+    </message>
+    <message>
+      <source>After correction by the {} model, 90 % of the {} lie within</source>
+      <translation>Nach der Korrektur mit dem Modell {} liegen 90 % der {} innerhalb von</translation>
+    </message>
+    <message>
+      <source>{} check points, which the fit has not seen,</source>
+      <translation>{} Kontrollpunkte, die die Anpassung nicht gesehen hat,</translation>
+    </message>
+    <message>
+      <source>{} fit points (there were too few to hold some out)</source>
+      <translation>{} Punkte der Anpassung (es waren zu wenige, um welche zurückzuhalten)</translation>
+    </message>
+    <message>
+      <source>of where the target shows them.</source>
+      <translation>von dort, wo das Ziel sie zeigt.</translation>
+    </message>
+    <message>
+      <source>How well?</source>
+      <translation>Wie gut?</translation>
+    </message>
+    <message>
+      <source>CE90 {} before, {} after the correction</source>
+      <translation>CE90 {} vor, {} nach der Korrektur</translation>
+    </message>
+    <message>
+      <source>; nearly all of what is left is noise of the matching itself.</source>
+      <translation>; fast alles, was bleibt, ist Rauschen der Zuordnung selbst.</translation>
+    </message>
+    <message>
+      <source>; {} of it once the noise of the matching is taken out.</source>
+      <translation>; davon {} ohne das Rauschen der Zuordnung.</translation>
+    </message>
+    <message>
+      <source>90 % of the {} is expected to lie within {}</source>
+      <translation>90 % {} liegen voraussichtlich innerhalb von {}</translation>
+    </message>
+    <message>
+      <source>common ground</source>
+      <translation>des gemeinsamen Geländes</translation>
+    </message>
+    <message>
+      <source>ground that was compared</source>
+      <translation>des verglichenen Geländes</translation>
+    </message>
+    <message>
+      <source>, and of all that both show within {}.</source>
+      <translation>, und von allem, was beide zeigen, innerhalb von {}.</translation>
+    </message>
+    <message>
+      <source>All this is relative to the basemap {}</source>
+      <translation>All das gilt relativ zur Grundkarte {}</translation>
+    </message>
+    <message>
+      <source>{} m a pixel, fetched {}</source>
+      <translation>{} m je Pixel, geholt {}</translation>
+    </message>
+    <message>
+      <source>The correction improves nothing.</source>
+      <translation>Die Korrektur verbessert nichts.</translation>
+    </message>
+    <message>
+      <source>Where not?</source>
+      <translation>Wo nicht?</translation>
+    </message>
+    <message>
+      <source>{} of the target lies beyond the tie points (hatched below)</source>
+      <translation>{} des Ziels liegt jenseits der Verknüpfungspunkte (unten schraffiert)</translation>
+    </message>
+    <message>
+      <source>Less than {} of the target lies beyond the tie points (hatched below)</source>
+      <translation>Weniger als {} des Ziels liegt jenseits der Verknüpfungspunkte (unten schraffiert)</translation>
+    </message>
+    <message>
+      <source>{} of the image has no tie point near (see Coverage)</source>
+      <translation>{} des Bildes hat keinen Verknüpfungspunkt in der Nähe (siehe Abdeckung)</translation>
+    </message>
+    <message>
+      <source>Less than {} of the image has no tie point near (see Coverage)</source>
+      <translation>Weniger als {} des Bildes hat keinen Verknüpfungspunkt in der Nähe (siehe Abdeckung)</translation>
+    </message>
+    <message>
+      <source>less than {} of the image has no tie point near (see Coverage)</source>
+      <translation>weniger als {} des Bildes hat keinen Verknüpfungspunkt in der Nähe (siehe Abdeckung)</translation>
+    </message>
+    <message>
+      <source>Tie points cover the whole common area.</source>
+      <translation>Verknüpfungspunkte decken die ganze gemeinsame Fläche ab.</translation>
+    </message>
+    <message>
+      <source>less than 1 %</source>
+      <translation>weniger als 1 %</translation>
+    </message>
+    <message>
+      <source>Can I trust the figure?</source>
+      <translation>Kann ich der Zahl trauen?</translation>
+    </message>
+    <message>
+      <source>With care: there were too few points to keep some out of the fit.</source>
+      <translation>Mit Vorsicht: Es waren zu wenige Punkte, um welche aus der Anpassung herauszuhalten.</translation>
+    </message>
+    <message>
+      <source>With care:</source>
+      <translation>Mit Vorsicht:</translation>
+    </message>
+    <message>
+      <source>only {} check points, {} are asked for (ASPRS 2023)</source>
+      <translation>nur {} Kontrollpunkte, {} werden verlangt (ASPRS 2023)</translation>
+    </message>
+    <message>
+      <source>check points are much worse than fit points: the model does not hold between its points</source>
+      <translation>Kontrollpunkte sind viel schlechter als die Punkte der Anpassung: Das Modell hält zwischen seinen Punkten nicht</translation>
+    </message>
+    <message>
+      <source>there are warnings below</source>
+      <translation>unten stehen Warnungen</translation>
+    </message>
+    <message>
+      <source>Yes: it is counted at {} check points that the fit has not seen.</source>
+      <translation>Ja: Sie ist an {} Kontrollpunkten gezählt, die die Anpassung nicht gesehen hat.</translation>
+    </message>
+    <message>
+      <source>No corrected raster was written, as a requirement is not met; the option</source>
+      <translation>Es wurde kein korrigiertes Raster geschrieben, weil eine Anforderung nicht erfüllt ist; die Option</translation>
+    </message>
+    <message>
+      <source>writes it all the same.</source>
+      <translation>schreibt es trotzdem.</translation>
+    </message>
+    <message>
+      <source>The reference is red, the target cyan. Where both are equally bright and fit, the sum is grey. A red and a cyan line side by side is a step. Bands of other contrast stay coloured: look at the lines.</source>
+      <translation>Die Referenz ist rot, das Ziel cyan. Wo beide gleich hell sind und passen, ist die Summe grau. Eine rote und eine cyanfarbene Linie nebeneinander sind ein Versatz. Kanäle mit anderem Kontrast bleiben farbig: Achten Sie auf die Linien.</translation>
+    </message>
+    <message>
+      <source>How the whole scene is shown</source>
+      <translation>Wie die ganze Szene gezeigt wird</translation>
+    </message>
+    <message>
+      <source>Red and cyan</source>
+      <translation>Rot und Cyan</translation>
+    </message>
+    <message>
+      <source>Edges of the reference on the target</source>
+      <translation>Kanten der Referenz auf dem Ziel</translation>
+    </message>
+    <message>
+      <source>Edges of the reference</source>
+      <translation>Kanten der Referenz</translation>
+    </message>
+    <message>
+      <source>Before the correction</source>
+      <translation>Vor der Korrektur</translation>
+    </message>
+    <message>
+      <source>After the correction</source>
+      <translation>Nach der Korrektur</translation>
+    </message>
+    <message>
+      <source>{}, the target on the same ground</source>
+      <translation>{}, das Ziel auf demselben Gelände</translation>
+    </message>
+    <message>
+      <source>Left of the line is the reference, right of it the target. Edges that cross the line must run on without a step. Move the line with the mouse, or with the arrow keys when the slider is chosen. In print both are a checkerboard.</source>
+      <translation>Links der Linie ist die Referenz, rechts das Ziel. Kanten, die die Linie kreuzen, müssen ohne Versatz weiterlaufen. Bewegen Sie die Linie mit der Maus, oder mit den Pfeiltasten, wenn der Schieber gewählt ist. Im Druck wird daraus ein Schachbrett.</translation>
+    </message>
+    <message>
+      <source>Reference and target alternate in the squares of a checkerboard. Edges must run on from square to square without a step.</source>
+      <translation>Referenz und Ziel wechseln in den Feldern eines Schachbretts. Kanten müssen von Feld zu Feld ohne Versatz weiterlaufen.</translation>
+    </message>
+    <message>
+      <source>{} more place</source>
+      <translation>{} weiterer Ort</translation>
+    </message>
+    <message>
+      <source>{} more places</source>
+      <translation>{} weitere Orte</translation>
+    </message>
+    <message>
+      <source>the middle</source>
+      <translation>die Mitte</translation>
+    </message>
+    <message>
+      <source>the clearest edge</source>
+      <translation>die deutlichste Kante</translation>
+    </message>
+    <message>
+      <source>the most distinct match</source>
+      <translation>der deutlichste Treffer</translation>
+    </message>
+    <message>
+      <source>the largest residual</source>
+      <translation>der größte Restfehler</translation>
+    </message>
+    <message>
+      <source>a clear edge, {}</source>
+      <translation>eine deutliche Kante, {}</translation>
+    </message>
+    <message>
+      <source>in the middle</source>
+      <translation>in der Mitte</translation>
+    </message>
+    <message>
+      <source>upper left</source>
+      <translation>oben links</translation>
+    </message>
+    <message>
+      <source>upper middle</source>
+      <translation>oben in der Mitte</translation>
+    </message>
+    <message>
+      <source>upper right</source>
+      <translation>oben rechts</translation>
+    </message>
+    <message>
+      <source>middle left</source>
+      <translation>links in der Mitte</translation>
+    </message>
+    <message>
+      <source>middle right</source>
+      <translation>rechts in der Mitte</translation>
+    </message>
+    <message>
+      <source>lower left</source>
+      <translation>unten links</translation>
+    </message>
+    <message>
+      <source>lower middle</source>
+      <translation>unten in der Mitte</translation>
+    </message>
+    <message>
+      <source>lower right</source>
+      <translation>unten rechts</translation>
+    </message>
+    <message>
+      <source>Around reference column {}, row {}; {} target px wide.</source>
+      <translation>Um Spalte {}, Zeile {} der Referenz; {} Zielpixel breit.</translation>
+    </message>
+    <message>
+      <source>Line</source>
+      <translation>Linie</translation>
+    </message>
+    <message>
+      <source>Checkerboard</source>
+      <translation>Schachbrett</translation>
+    </message>
+    <message>
+      <source>Line between reference and target, {}</source>
+      <translation>Linie zwischen Referenz und Ziel, {}</translation>
+    </message>
+    <message>
+      <source>These are figures of a refused pair: they say what was found, not where the target lies.</source>
+      <translation>Das sind Zahlen eines abgelehnten Paars: Sie sagen, was gefunden wurde, nicht wo das Ziel liegt.</translation>
+    </message>
+    <message>
+      <source>There is no tie point to count.</source>
+      <translation>Es gibt keinen Verknüpfungspunkt zu zählen.</translation>
+    </message>
+    <message>
+      <source>Statistics per axis</source>
+      <translation>Statistik je Achse</translation>
+    </message>
+    <message>
+      <source>Radial statistics</source>
+      <translation>Statistik der Längen</translation>
+    </message>
+    <message>
+      <source>Per axis, target px</source>
+      <translation>Je Achse, Zielpixel</translation>
+    </message>
+    <message>
+      <source>Radial</source>
+      <translation>Länge</translation>
+    </message>
+    <message>
+      <source>Points</source>
+      <translation>Punkte</translation>
+    </message>
+    <message>
+      <source>axis</source>
+      <translation>Achse</translation>
+    </message>
+    <message>
+      <source>unit</source>
+      <translation>Einheit</translation>
+    </message>
+    <message>
+      <source>mean</source>
+      <translation>Mittel</translation>
+    </message>
+    <message>
+      <source>median</source>
+      <translation>Median</translation>
+    </message>
+    <message>
+      <source>std</source>
+      <translation>Std.-abw.</translation>
+    </message>
+    <message>
+      <source>net RMSE</source>
+      <translation>netto RMSE</translation>
+    </message>
+    <message>
+      <source>net CE90</source>
+      <translation>netto CE90</translation>
+    </message>
+    <message>
+      <source>net CE95</source>
+      <translation>netto CE95</translation>
+    </message>
+    <message>
+      <source>Before, all points: displacement</source>
+      <translation>Vorher, alle Punkte: Verschiebung</translation>
+    </message>
+    <message>
+      <source>After, fit points: residual</source>
+      <translation>Nachher, Punkte der Anpassung: Restfehler</translation>
+    </message>
+    <message>
+      <source>After, check points: residual</source>
+      <translation>Nachher, Kontrollpunkte: Restfehler</translation>
+    </message>
+    <message>
+      <source>column</source>
+      <translation>Spalte</translation>
+    </message>
+    <message>
+      <source>row</source>
+      <translation>Zeile</translation>
+    </message>
+    <message>
+      <source>({} points)</source>
+      <translation>({} Punkte)</translation>
+    </message>
+    <message>
+      <source>target px</source>
+      <translation>Zielpixel</translation>
+    </message>
+    <message>
+      <source>native px</source>
+      <translation>eigene Pixel</translation>
+    </message>
+    <message>
+      <source>metres</source>
+      <translation>Meter</translation>
+    </message>
+    <message>
+      <source>LE90 is the 90th percentile of the absolute error along an axis; CE90 and CE95 are the 90th and 95th percentile of its length, counted, not derived from a normal distribution. Net: without the noise of the matching, known from the sigma of each point</source>
+      <translation>LE90 ist das 90. Perzentil des absoluten Fehlers entlang einer Achse; CE90 und CE95 sind das 90. und 95. Perzentil seiner Länge, gezählt, nicht aus einer Normalverteilung abgeleitet. Netto: ohne das Rauschen der Zuordnung, bekannt aus dem Sigma jedes Punkts</translation>
+    </message>
+    <message>
+      <source>({} px in column, {} px in row)</source>
+      <translation>({} px in der Spalte, {} px in der Zeile)</translation>
+    </message>
+    <message>
+      <source>; it is a good figure only as far as those sigmas are.</source>
+      <translation>; die Zahl ist nur so gut, wie diese Sigmas es sind.</translation>
+    </message>
+    <message>
+      <source>The native pixel, which the coarser of the two sensors recorded, is {} m.</source>
+      <translation>Das eigene Pixel, das der gröbere der beiden Sensoren aufnahm, misst {} m.</translation>
+    </message>
+    <message>
+      <source>Median displacement on the map: {} m (x, y).</source>
+      <translation>Verschiebung auf der Karte (Median): {} m (x, y).</translation>
+    </message>
+    <message>
+      <source>Check points were kept out of the fit and of the choice of the model. They come from the same {}, so a bias that {} may have is not in these figures.</source>
+      <translation>Kontrollpunkte blieben aus der Anpassung und der Wahl des Modells heraus. Sie kommen aus derselben {}: Ein systematischer Fehler {} ist nicht in diesen Zahlen.</translation>
+    </message>
+    <message>
+      <source>matcher</source>
+      <translation>Zuordnung</translation>
+    </message>
+    <message>
+      <source>file</source>
+      <translation>Datei</translation>
+    </message>
+    <message>
+      <source>the matcher itself</source>
+      <translation>der Zuordnung selbst</translation>
+    </message>
+    <message>
+      <source>its points</source>
+      <translation>ihrer Punkte</translation>
+    </message>
+    <message>
+      <source>Cross-validated RMSE of each correction model with two standard errors; the figures are in the table below.</source>
+      <translation>Kreuzvalidierter RMSE jedes Korrekturmodells mit zwei Standardfehlern; die Zahlen stehen in der Tabelle darunter.</translation>
+    </message>
+    <message>
+      <source>Each model is fitted without a part of the scene and judged there. The simplest that no other beats is chosen.</source>
+      <translation>Jedes Modell wird ohne einen Teil der Szene angepasst und dort beurteilt. Gewählt wird das einfachste, das kein anderes übertrifft.</translation>
+    </message>
+    <message>
+      <source>parameters</source>
+      <translation>Parameter</translation>
+    </message>
+    <message>
+      <source>cross-validated RMSE, px</source>
+      <translation>kreuzvalidierter RMSE, px</translation>
+    </message>
+    <message>
+      <source>cross-validated RMSE, target px</source>
+      <translation>kreuzvalidierter RMSE, Zielpixel</translation>
+    </message>
+    <message>
+      <source>chosen</source>
+      <translation>gewählt</translation>
+    </message>
+    <message>
+      <source>{} (chosen)</source>
+      <translation>{} (gewählt)</translation>
+    </message>
+    <message>
+      <source>{} predicts better</source>
+      <translation>{} sagt besser voraus</translation>
+    </message>
+    <message>
+      <source>not tried: {} is chosen</source>
+      <translation>nicht versucht: {} ist gewählt</translation>
+    </message>
+    <message>
+      <source>not tried: {}, which needs no resampling, is not beaten</source>
+      <translation>nicht versucht: {}, das keine Neuberechnung braucht, ist nicht übertroffen</translation>
+    </message>
+    <message>
+      <source>does not predict significantly better than {}</source>
+      <translation>sagt nicht bedeutend besser voraus als {}</translation>
+    </message>
+    <message>
+      <source>differs from {} by no more than its uncertainty</source>
+      <translation>weicht von {} um nicht mehr als seine Unsicherheit ab</translation>
+    </message>
+    <message>
+      <source>The points are those of the file {}; nothing was matched.</source>
+      <translation>Die Punkte sind die der Datei {}; es wurde nichts zugeordnet.</translation>
+    </message>
+    <message>
+      <source>Arrows point where the target shows the ground, from where its georeferencing puts it.</source>
+      <translation>Pfeile zeigen dorthin, wo das Ziel das Gelände zeigt, von dort, wo seine Georeferenzierung es hinlegt.</translation>
+    </message>
+    <message>
+      <source>After a good correction hardly anything is left to see on the right.</source>
+      <translation>Nach einer guten Korrektur ist rechts kaum noch etwas zu sehen.</translation>
+    </message>
+    <message>
+      <source>{} total, {} fit, {} check, {} unused, {} rejected.</source>
+      <translation>{} insgesamt, {} in der Anpassung, {} zur Kontrolle, {} ungenutzt, {} verworfen.</translation>
+    </message>
+    <message>
+      <source>{} total, {} matched, {} rejected.</source>
+      <translation>{} insgesamt, {} zugeordnet, {} verworfen.</translation>
+    </message>
+    <message>
+      <source>Candidates and what became of them</source>
+      <translation>Kandidaten, und was aus ihnen wurde</translation>
+    </message>
+    <message>
+      <source>count</source>
+      <translation>Anzahl</translation>
+    </message>
+    <message>
+      <source>tiles</source>
+      <translation>Kacheln</translation>
+    </message>
+    <message>
+      <source>candidates</source>
+      <translation>Kandidaten</translation>
+    </message>
+    <message>
+      <source>not comparable</source>
+      <translation>nicht vergleichbar</translation>
+    </message>
+    <message>
+      <source>not similar</source>
+      <translation>nicht ähnlich</translation>
+    </message>
+    <message>
+      <source>at search border</source>
+      <translation>am Rand der Suche</translation>
+    </message>
+    <message>
+      <source>not converged</source>
+      <translation>nicht konvergiert</translation>
+    </message>
+    <message>
+      <source>directions disagree</source>
+      <translation>Richtungen widersprechen sich</translation>
+    </message>
+    <message>
+      <source>second try</source>
+      <translation>zweiter Versuch</translation>
+    </message>
+    <message>
+      <source>inconsistent</source>
+      <translation>widersprüchlich</translation>
+    </message>
+    <message>
+      <source>consistent</source>
+      <translation>stimmig</translation>
+    </message>
+    <message>
+      <source>tie points</source>
+      <translation>Verknüpfungspunkte</translation>
+    </message>
+    <message>
+      <source>In squares without tie points the correction is not checked.</source>
+      <translation>In Quadraten ohne Verknüpfungspunkte ist die Korrektur nicht geprüft.</translation>
+    </message>
+    <message>
+      <source>Why there are no tie points:</source>
+      <translation>Warum es keine Verknüpfungspunkte gibt:</translation>
+    </message>
+    <message>
+      <source>Every square has tie points.</source>
+      <translation>Jedes Quadrat hat Verknüpfungspunkte.</translation>
+    </message>
+    <message>
+      <source>no data</source>
+      <translation>leer</translation>
+    </message>
+    <message>
+      <source>one of the two has no data there (nodata, masked, outside): nothing can be matched</source>
+      <translation>eines der beiden hat dort keine Daten (Nodata, maskiert, außerhalb): Nichts lässt sich zuordnen</translation>
+    </message>
+    <message>
+      <source>at an edge</source>
+      <translation>am Rand</translation>
+    </message>
+    <message>
+      <source>too near to an edge or to masked pixels: a smaller --window and --template reach further</source>
+      <translation>zu nah an einem Rand oder an maskierten Pixeln: Kleinere --window und --template reichen weiter</translation>
+    </message>
+    <message>
+      <source>unreadable</source>
+      <translation>unlesbar</translation>
+    </message>
+    <message>
+      <source>the file is damaged there</source>
+      <translation>die Datei ist dort beschädigt</translation>
+    </message>
+    <message>
+      <source>not asked for</source>
+      <translation>nicht gefragt</translation>
+    </message>
+    <message>
+      <source>no window was laid there, as enough points were found elsewhere: --points all asks for more</source>
+      <translation>dort lag kein Fenster, weil anderswo genug Punkte gefunden wurden: --points all verlangt mehr</translation>
+    </message>
+    <message>
+      <source>no structure</source>
+      <translation>strukturlos</translation>
+    </message>
+    <message>
+      <source>flat ground, such as water: another band or date may show more</source>
+      <translation>gleichförmiges Gelände, etwa Wasser: Ein anderer Kanal oder Tag kann mehr zeigen</translation>
+    </message>
+    <message>
+      <source>beyond the search</source>
+      <translation>außerhalb Suche</translation>
+    </message>
+    <message>
+      <source>most best matches lie on the border of the search: the displacement may be larger (raise --search-radius), or clouds hide the ground</source>
+      <translation>die meisten besten Treffer liegen am Rand der Suche: Die Verschiebung kann größer sein (--search-radius erhöhen), oder Wolken verdecken das Gelände</translation>
+    </message>
+    <message>
+      <source>no match</source>
+      <translation>erfolglos</translation>
+    </message>
+    <message>
+      <source>what is seen is too different, or repeats: clouds, change, another kind of band</source>
+      <translation>was zu sehen ist, ist zu verschieden oder wiederholt sich: Wolken, Veränderung, andere Art von Kanal</translation>
+    </message>
+    <message>
+      <source>there were matches, but they contradict their neighbours: clouds, water, moving things</source>
+      <translation>es gab Treffer, aber sie widersprechen ihren Nachbarn: Wolken, Wasser, Bewegtes</translation>
+    </message>
+    <message>
+      <source>Short arrows in all directions are noise. Arrows that run in one direction over an area tell of relief, parallax or a model that is too simple there.</source>
+      <translation>Kurze Pfeile in alle Richtungen sind Rauschen. Pfeile, die über eine Fläche in eine Richtung laufen, verraten Relief, Parallaxe oder ein dort zu einfaches Modell.</translation>
+    </message>
+    <message>
+      <source>Bell shapes around zero are good; a dashed line off zero is a bias, two humps are two populations (two sensor strips, ground and clouds). Grey dots are fit points, rings check points; 90 % lie within the circle.</source>
+      <translation>Glocken um die Null sind gut; eine gestrichelte Linie neben der Null ist ein systematischer Fehler, zwei Höcker sind zwei Gruppen (zwei Streifen des Sensors, Gelände und Wolken). Graue Punkte sind die der Anpassung, Ringe Kontrollpunkte; 90 % liegen im Kreis.</translation>
+    </message>
+    <message>
+      <source>Black: means of a twelfth of the range with two standard errors. They should stay around zero: waves or slopes depend on the place, so the model misses something (sensor jitter, relief, too simple a model).</source>
+      <translation>Schwarz: Mittel je eines Zwölftels des Bereichs mit zwei Standardfehlern. Sie sollten um die Null bleiben: Wellen oder Steigungen hängen vom Ort ab, dem Modell entgeht also etwas (Jitter des Sensors, Relief, zu einfaches Modell).</translation>
+    </message>
+    <message>
+      <source>Displacement (before the correction) of whole rows and columns, less a smooth trend; shaded: 95 % confidence. Bands that hold zero throughout show nothing. A wave is called jitter where chance makes one as strong in less than one of a thousand images;</source>
+      <translation>Verschiebung (vor der Korrektur) ganzer Zeilen und Spalten ohne glatten Trend; schattiert: 95 % Konfidenz. Bänder, die überall die Null enthalten, zeigen nichts. Eine Welle heißt Jitter, wo der Zufall in weniger als einem von tausend Bildern eine so starke macht;</translation>
+    </message>
+    <message>
+      <source>takes it out.</source>
+      <translation>nimmt ihn heraus.</translation>
+    </message>
+    <message>
+      <source>Median {} px (column, row), largest {} px.</source>
+      <translation>Median {} px (Spalte, Zeile), Maximum {} px.</translation>
+    </message>
+    <message>
+      <source>{} of the target, hatched, lie beyond the tie points: there the correction is continued, and sigma says only how well the model is determined.</source>
+      <translation>Jenseits der Verknüpfungspunkte (schraffiert) liegen {} des Ziels: Dort wird die Korrektur fortgesetzt, und Sigma sagt nur, wie gut das Modell bestimmt ist.</translation>
+    </message>
+    <message>
+      <source>A thin-plate spline through the tie points, run in this folder:</source>
+      <translation>Ein Thin-Plate-Spline durch die Verknüpfungspunkte, in diesem Ordner auszuführen:</translation>
+    </message>
+    <message>
+      <source>before: displacement</source>
+      <translation>vorher: Verschiebung</translation>
+    </message>
+    <message>
+      <source>after: residual, same scale</source>
+      <translation>nachher: Restfehler, gleicher Maßstab</translation>
+    </message>
+    <message>
+      <source>{} target px</source>
+      <translation>{} Zielpixel</translation>
+    </message>
+    <message>
+      <source>reference column, px</source>
+      <translation>Spalte der Referenz, px</translation>
+    </message>
+    <message>
+      <source>reference row, px</source>
+      <translation>Zeile der Referenz, px</translation>
+    </message>
+    <message>
+      <source>target column, px</source>
+      <translation>Spalte des Ziels, px</translation>
+    </message>
+    <message>
+      <source>target row, px</source>
+      <translation>Zeile des Ziels, px</translation>
+    </message>
+    <message>
+      <source>column, target px</source>
+      <translation>Spalte, Zielpixel</translation>
+    </message>
+    <message>
+      <source>row, target px</source>
+      <translation>Zeile, Zielpixel</translation>
+    </message>
+    <message>
+      <source>residual, target px</source>
+      <translation>Restfehler, Zielpixel</translation>
+    </message>
+    <message>
+      <source>residual, enlarged</source>
+      <translation>Restfehler, vergrößert</translation>
+    </message>
+    <message>
+      <source>fit and check</source>
+      <translation>alle Punkte</translation>
+    </message>
+    <message>
+      <source>residual in {}, target px</source>
+      <translation>Restfehler in {}, Zielpixel</translation>
+    </message>
+    <message>
+      <source>residual in {}, px</source>
+      <translation>Restfehler in {}, px</translation>
+    </message>
+    <message>
+      <source>in {}, px</source>
+      <translation>in {}, px</translation>
+    </message>
+    <message>
+      <source>in row</source>
+      <translation>Zeile</translation>
+    </message>
+    <message>
+      <source>in column</source>
+      <translation>Spalte</translation>
+    </message>
+    <message>
+      <source>points</source>
+      <translation>Punkte</translation>
+    </message>
+    <message>
+      <source>displ., px</source>
+      <translation>Versch., px</translation>
+    </message>
+    <message>
+      <source>height, m</source>
+      <translation>Höhe, m</translation>
+    </message>
+    <message>
+      <source>By height</source>
+      <translation>Nach der Höhe</translation>
+    </message>
+    <message>
+      <source>Along the {}s: no wave beyond chance</source>
+      <translation>Entlang der {}n: keine Welle über dem Zufall</translation>
+    </message>
+    <message>
+      <source>Along the {}s: jitter of {}</source>
+      <translation>Entlang der {}n: Jitter von {}</translation>
+    </message>
+    <message>
+      <source>{} px in {}, period {} px</source>
+      <translation>{} px in {}, Periode {} px</translation>
+    </message>
+    <message>
+      <source>predicted sigma, target px</source>
+      <translation>vorhergesagtes Sigma, Zielpixel</translation>
+    </message>
+    <message>
+      <source>How large is its own error?</source>
+      <translation>Wie groß ist sein eigener Fehler?</translation>
+    </message>
+    <message>
+      <source>90 % of the points lie within {} px</source>
+      <translation>90 % der Punkte liegen innerhalb von {} px</translation>
+    </message>
+    <message>
+      <source>, 90 % of the correction within {} px.</source>
+      <translation>, 90 % der Korrektur innerhalb von {} px.</translation>
+    </message>
+    <message>
+      <source>Does it lock to whole pixels?</source>
+      <translation>Rastet es auf ganze Pixel ein?</translation>
+    </message>
+    <message>
+      <source>Its errors follow the fraction of a pixel by {} px, and scatter by {} px.</source>
+      <translation>Seine Fehler folgen dem Bruchteil eines Pixels um {} px und streuen um {} px.</translation>
+    </message>
+    <message>
+      <source>Do the sigmas hold?</source>
+      <translation>Stimmen die Sigmas?</translation>
+    </message>
+    <message>
+      <source>{} % of the errors lie within sigma (68 is right)</source>
+      <translation>{} % der Fehler liegen innerhalb von Sigma (richtig sind 68)</translation>
+    </message>
+    <message>
+      <source>: they would have to be {} times as large.</source>
+      <translation>: Sie müssten {}-mal so groß sein.</translation>
+    </message>
+    <message>
+      <source>, which leaves room for errors that no proof shows.</source>
+      <translation>, was Platz für Fehler lässt, die kein Beweis zeigt.</translation>
+    </message>
+    <message>
+      <source>Do wrong matches get through?</source>
+      <translation>Kommen falsche Treffer durch?</translation>
+    </message>
+    <message>
+      <source>{} of {} passed every test.</source>
+      <translation>{} von {} bestanden jede Prüfung.</translation>
+    </message>
+    <message>
+      <source>What would a blind spot cost?</source>
+      <translation>Was kostete ein blinder Fleck?</translation>
+    </message>
+    <message>
+      <source>Without the tie points of a ninth of the scene the {} there would change by up to</source>
+      <translation>Ohne die Verknüpfungspunkte eines Neuntels der Szene änderte sich das Modell {} dort um bis zu</translation>
+    </message>
+    <message>
+      <source>What does it tolerate?</source>
+      <translation>Was verträgt es?</translation>
+    </message>
+    <message>
+      <source>a displacement of {} px</source>
+      <translation>eine Verschiebung von {} px</translation>
+    </message>
+    <message>
+      <source>a rotation of {} degrees</source>
+      <translation>eine Drehung von {} Grad</translation>
+    </message>
+    <message>
+      <source>fresh noise of {} times the standard deviation of the images</source>
+      <translation>frisches Rauschen vom {}-Fachen der Standardabweichung der Bilder</translation>
+    </message>
+    <message>
+      <source>clouds over a share of {} of the target</source>
+      <translation>Wolken über einem Anteil von {} des Ziels</translation>
+    </message>
+    <message>
+      <source>A displacement of {} px</source>
+      <translation>Eine Verschiebung von {} px</translation>
+    </message>
+    <message>
+      <source>Not even</source>
+      <translation>Nicht einmal</translation>
+    </message>
+    <message>
+      <source>not even</source>
+      <translation>nicht einmal</translation>
+    </message>
+    <message>
+      <source>or more</source>
+      <translation>oder mehr</translation>
+    </message>
+    <message>
+      <source>beyond, it was refused</source>
+      <translation>darüber hinaus wurde abgelehnt</translation>
+    </message>
+    <message>
+      <source>{} results beyond were accepted, and wrong</source>
+      <translation>{} Ergebnisse darüber hinaus wurden angenommen und waren falsch</translation>
+    </message>
+    <message>
+      <source>Do both directions agree?</source>
+      <translation>Stimmen beide Richtungen überein?</translation>
+    </message>
+    <message>
+      <source>Points return to {} px (RMS) from where they began.</source>
+      <translation>Punkte kehren auf {} px (RMS) dorthin zurück, wo sie begannen.</translation>
+    </message>
+    <message>
+      <source>These figures show pixel locking, interpolation and noise. They do not show edges that lie elsewhere in the other band, such as shadows: allow up to {} px for them. Halves of the evidence differ by {} px or more, which is a lower bound. A third band shows more: the triangle of the three must close.</source>
+      <translation>Diese Zahlen zeigen das Einrasten auf Pixel, Interpolation und Rauschen. Sie zeigen keine Kanten, die im anderen Kanal anderswo liegen, etwa Schatten: Rechnen Sie dafür bis zu {} px. Hälften des Belegs unterscheiden sich um {} px oder mehr, das ist eine untere Grenze. Ein dritter Kanal zeigt mehr: Das Dreieck der drei muss sich schließen.</translation>
+    </message>
+    <message>
+      <source>The target was moved by {} known amounts and matched again at {} tie points, with fresh noise. Left: what the matching missed the known moves by. Right: flat lines within the grey band are good; a wave means that it is drawn to whole pixels.</source>
+      <translation>Das Ziel wurde um {} bekannte Beträge bewegt und an {} Verknüpfungspunkten neu zugeordnet, mit frischem Rauschen. Links: um wie viel die Zuordnung die bekannten Bewegungen verfehlte. Rechts: Flache Linien im grauen Band sind gut; eine Welle heißt, dass es zu ganzen Pixeln gezogen wird.</translation>
+    </message>
+    <message>
+      <source>A part of {} x {} px was made harder by and by and registered as any pair is. Grey: no longer tolerated.</source>
+      <translation>Ein Teil von {} x {} px wurde nach und nach schwerer gemacht und wie jedes Paar registriert. Grau: nicht mehr vertragen.</translation>
+    </message>
+    <message>
+      <source>Errors by kind</source>
+      <translation>Fehler nach Art</translation>
+    </message>
+    <message>
+      <source>Errors, target px</source>
+      <translation>Fehler, Zielpixel</translation>
+    </message>
+    <message>
+      <source>matches</source>
+      <translation>Treffer</translation>
+    </message>
+    <message>
+      <source>mean, column</source>
+      <translation>Mittel, Spalte</translation>
+    </message>
+    <message>
+      <source>scatter, column</source>
+      <translation>Streuung, Spalte</translation>
+    </message>
+    <message>
+      <source>structure: {}</source>
+      <translation>Struktur: {}</translation>
+    </message>
+    <message>
+      <source>move: shift</source>
+      <translation>Bewegung: Verschiebung</translation>
+    </message>
+    <message>
+      <source>move: turn</source>
+      <translation>Bewegung: Drehung</translation>
+    </message>
+    <message>
+      <source>move: field</source>
+      <translation>Bewegung: Feld</translation>
+    </message>
+    <message>
+      <source>window: {}</source>
+      <translation>Fenster: {}</translation>
+    </message>
+    <message>
+      <source>faintest quarter</source>
+      <translation>schwächstes Viertel</translation>
+    </message>
+    <message>
+      <source>second quarter</source>
+      <translation>zweites Viertel</translation>
+    </message>
+    <message>
+      <source>third quarter</source>
+      <translation>drittes Viertel</translation>
+    </message>
+    <message>
+      <source>strongest quarter</source>
+      <translation>stärkstes Viertel</translation>
+    </message>
+    <message>
+      <source>Independent evidence</source>
+      <translation>Unabhängiger Beleg</translation>
+    </message>
+    <message>
+      <source>Two halves of the evidence, target px</source>
+      <translation>Zwei Hälften des Belegs, Zielpixel</translation>
+    </message>
+    <message>
+      <source>differ by, column</source>
+      <translation>Unterschied, Spalte</translation>
+    </message>
+    <message>
+      <source>± column</source>
+      <translation>± Spalte</translation>
+    </message>
+    <message>
+      <source>channels</source>
+      <translation>Merkmale</translation>
+    </message>
+    <message>
+      <source>windows</source>
+      <translation>Fenster</translation>
+    </message>
+    <message>
+      <source>directions</source>
+      <translation>Richtungen</translation>
+    </message>
+    <message>
+      <source>errors; 90 % within {} px</source>
+      <translation>Fehler; 90 % innerhalb von {} px</translation>
+    </message>
+    <message>
+      <source>fraction of the displacement, px</source>
+      <translation>Bruchteil der Verschiebung, px</translation>
+    </message>
+    <message>
+      <source>mean error along a pixel; a wave is pixel locking</source>
+      <translation>Fehler je Pixelbruchteil; Welle: Einrasten</translation>
+    </message>
+    <message>
+      <source>error of one match, RMS, target px</source>
+      <translation>Fehler eines Treffers, RMS, Zielpixel</translation>
+    </message>
+    <message>
+      <source>where the matching errs</source>
+      <translation>wo die Zuordnung irrt</translation>
+    </message>
+    <message>
+      <source>displacement, px</source>
+      <translation>Verschiebung, px</translation>
+    </message>
+    <message>
+      <source>rotation, degrees</source>
+      <translation>Drehung, Grad</translation>
+    </message>
+    <message>
+      <source>noise, standard deviations</source>
+      <translation>Rauschen, Standardabweichungen</translation>
+    </message>
+    <message>
+      <source>clouds, share of the target</source>
+      <translation>Wolken, Anteil des Ziels</translation>
+    </message>
+    <message>
+      <source>what a part of the pair tolerates (dot: right, x: refused, x in a ring: wrong; dots: as it lies)</source>
+      <translation>was ein Teil des Paars verträgt (Punkt: richtig, x: abgelehnt, x im Ring: falsch; Punkte: wie es liegt)</translation>
+    </message>
+    <message>
+      <source>Too few points</source>
+      <translation>Zu wenige Punkte</translation>
+    </message>
+    <message>
+      <source>The overlap is small, flat or masked, or the bands show different things. Choose bands alike in what they show (red and red, near infrared and near infrared), check masks and nodata, ask for more points (</source>
+      <translation>Die Überlappung ist klein, gleichförmig oder maskiert, oder die Kanäle zeigen Verschiedenes. Wählen Sie Kanäle, die Gleiches zeigen (Rot und Rot, nahes Infrarot und nahes Infrarot), prüfen Sie Masken und Nodata, verlangen Sie mehr Punkte (</translation>
+    </message>
+    <message>
+      <source>), or lower</source>
+      <translation>), oder verkleinern Sie</translation>
+    </message>
+    <message>
+      <source>for small images.</source>
+      <translation>für kleine Bilder.</translation>
+    </message>
+    <message>
+      <source>Clouds</source>
+      <translation>Wolken</translation>
+    </message>
+    <message>
+      <source>Squares without points or with rejected ones only, over bright areas. Give a cloud mask (</source>
+      <translation>Quadrate ohne Punkte oder nur mit verworfenen, über hellen Flächen. Geben Sie eine Wolkenmaske (</translation>
+    </message>
+    <message>
+      <source>: QA_PIXEL, SCL or zeros) or another date.</source>
+      <translation>: QA_PIXEL, SCL oder Nullen) oder einen anderen Tag.</translation>
+    </message>
+    <message>
+      <source>Wrong search radius</source>
+      <translation>Falscher Suchradius</translation>
+    </message>
+    <message>
+      <source>Many candidates “at search border”, or a refusal. The displacement is larger than the radius: raise</source>
+      <translation>Viele Kandidaten „am Rand der Suche“, oder eine Ablehnung. Die Verschiebung ist größer als der Radius: Erhöhen Sie</translation>
+    </message>
+    <message>
+      <source>(the whole image was searched already)</source>
+      <translation>(das ganze Bild wurde schon durchsucht)</translation>
+    </message>
+    <message>
+      <source>, or give</source>
+      <translation>, oder geben Sie</translation>
+    </message>
+    <message>
+      <source>Relief</source>
+      <translation>Relief</translation>
+    </message>
+    <message>
+      <source>Residuals grow with the slopes and change sign across a ridge. The images were not corrected for terrain, or by another elevation model: orthorectify both with the same one, or try</source>
+      <translation>Restfehler wachsen mit den Hängen und wechseln das Vorzeichen über einen Grat. Die Bilder wurden nicht um das Gelände korrigiert, oder mit einem anderen Höhenmodell: Orthorektifizieren Sie beide mit demselben, oder versuchen Sie</translation>
+    </message>
+    <message>
+      <source>Parallax of another sensor</source>
+      <translation>Parallaxe eines anderen Sensors</translation>
+    </message>
+    <message>
+      <source>Residuals run along one direction, in stripes across the track, or clouds and moving things are displaced and the ground is not. Detectors look at slightly different angles and times; no smooth model takes that out.</source>
+      <translation>Restfehler laufen in eine Richtung, in Streifen quer zur Bahn, oder Wolken und Bewegtes sind verschoben und das Gelände nicht. Detektoren blicken unter etwas verschiedenen Winkeln und Zeiten; kein glattes Modell nimmt das heraus.</translation>
+    </message>
+    <message>
+      <source>Check points worse than fit points</source>
+      <translation>Kontrollpunkte schlechter als die der Anpassung</translation>
+    </message>
+    <message>
+      <source>The model follows its points and fails between them: take a simpler one (</source>
+      <translation>Das Modell folgt seinen Punkten und versagt dazwischen: Nehmen Sie ein einfacheres (</translation>
+    </message>
+    <message>
+      <source>) or more points.</source>
+      <translation>) oder mehr Punkte.</translation>
+    </message>
+    <message>
+      <source>A trend over column or row</source>
+      <translation>Ein Trend über Spalte oder Zeile</translation>
+    </message>
+    <message>
+      <source>The model is too simple for the sensor:</source>
+      <translation>Das Modell ist zu einfach für den Sensor:</translation>
+    </message>
+    <message>
+      <source>or</source>
+      <translation>oder</translation>
+    </message>
+    <message>
+      <source>reference</source>
+      <translation>Referenz</translation>
+    </message>
+    <message>
+      <source>target</source>
+      <translation>Ziel</translation>
+    </message>
+    <message>
+      <source>pre-alignment</source>
+      <translation>grobe Ausrichtung</translation>
+    </message>
+    <message>
+      <source>geometry found</source>
+      <translation>gefundene Geometrie</translation>
+    </message>
+    <message>
+      <source>{}, shift {} px, search radius {} px; matched by {}</source>
+      <translation>{}, Verschiebung {} px, Suchradius {} px; zugeordnet nach {}</translation>
+    </message>
+    <message>
+      <source>georeferencing</source>
+      <translation>Georeferenzierung</translation>
+    </message>
+    <message>
+      <source>identity</source>
+      <translation>gleiche Pixel</translation>
+    </message>
+    <message>
+      <source>structure</source>
+      <translation>Struktur</translation>
+    </message>
+    <message>
+      <source>grey values</source>
+      <translation>Grauwerten</translation>
+    </message>
+    <message>
+      <source>, shift {} px, search radius {} px; matched by {}</source>
+      <translation>, Verschiebung {} px, Suchradius {} px; zugeordnet nach {}</translation>
+    </message>
+    <message>
+      <source>(evidence {} of at most 4, start {})</source>
+      <translation>(Beleg {} von höchstens 4, Start {})</translation>
+    </message>
+    <message>
+      <source>, scale expected by the cameras {}</source>
+      <translation>, nach den Kameras erwarteter Maßstab {}</translation>
+    </message>
+    <message>
+      <source>planar</source>
+      <translation>eben</translation>
+    </message>
+    <message>
+      <source>: the tie points lie {} px (RMS) across the epipolar lines</source>
+      <translation>: Die Verknüpfungspunkte liegen {} px (RMS) quer zu den Epipolarlinien</translation>
+    </message>
+    <message>
+      <source>, and {} px along them beside what one plane gives</source>
+      <translation>, und {} px an ihnen entlang neben dem, was eine Ebene ergibt</translation>
+    </message>
+    <message>
+      <source>from {};</source>
+      <translation>aus {};</translation>
+    </message>
+    <message>
+      <source>heights from {}, {} m up to the ellipsoid</source>
+      <translation>Höhen aus {}, {} m bis zum Ellipsoid</translation>
+    </message>
+    <message>
+      <source>ground taken to be {} m above the ellipsoid</source>
+      <translation>Gelände {} m über dem Ellipsoid angenommen</translation>
+    </message>
+    <message>
+      <source>; error of the corrected coefficients {} px</source>
+      <translation>; Fehler der korrigierten Koeffizienten {} px</translation>
+    </message>
+    <message>
+      <source>, matrix {}</source>
+      <translation>, Matrix {}</translation>
+    </message>
+    <message>
+      <source>(report.json holds it in full)</source>
+      <translation>(vollständig in report.json)</translation>
+    </message>
+    <message>
+      <source>model</source>
+      <translation>Modell</translation>
+    </message>
+    <message>
+      <source>no CRS</source>
+      <translation>kein KBS</translation>
+    </message>
+    <message>
+      <source>{}, {} of {}, {} × {} px, {}, {}</source>
+      <translation>{}, {} von {}, {} × {} px, {}, {}</translation>
+    </message>
+    <message>
+      <source>band {}</source>
+      <translation>Kanal {}</translation>
+    </message>
+    <message>
+      <source>default</source>
+      <translation>Standard</translation>
+    </message>
+    <message>
+      <source>seconds, {}</source>
+      <translation>Sekunden, {}</translation>
+    </message>
+    <message>
+      <source>reading</source>
+      <translation>Lesen</translation>
+    </message>
+    <message>
+      <source>matching</source>
+      <translation>Zuordnen</translation>
+    </message>
+    <message>
+      <source>refining</source>
+      <translation>Verfeinern</translation>
+    </message>
+    <message>
+      <source>fitting</source>
+      <translation>Anpassen</translation>
+    </message>
+    <message>
+      <source>proving</source>
+      <translation>Beweisen</translation>
+    </message>
+    <message>
+      <source>writing</source>
+      <translation>Schreiben</translation>
+    </message>
+    <message>
+      <source>report</source>
+      <translation>Bericht</translation>
+    </message>
+    <message>
+      <source>warping</source>
+      <translation>Umrechnen</translation>
+    </message>
+    <message>
+      <source>Map of the {} tie points on the reference image: arrows for the displacement of each before the correction</source>
+      <translation>Karte der {} Verknüpfungspunkte auf dem Bild der Referenz: Pfeile für die Verschiebung jedes Punkts vor der Korrektur</translation>
+    </message>
+    <message>
+      <source>, and beside it the residual after it on the same scale</source>
+      <translation>, daneben der Restfehler danach im selben Maßstab</translation>
+    </message>
+    <message>
+      <source>Median displacement {} px (column, row).</source>
+      <translation>Verschiebung (Median) {} px (Spalte, Zeile).</translation>
+    </message>
+    <message>
+      <source>Map of the number of tie points in each square of the reference image.</source>
+      <translation>Karte der Zahl der Verknüpfungspunkte in jedem Quadrat des Bilds der Referenz.</translation>
+    </message>
+    <message>
+      <source>Squares without any:</source>
+      <translation>Quadrate ohne:</translation>
+    </message>
+    <message>
+      <source>Every square has some.</source>
+      <translation>Jedes Quadrat hat welche.</translation>
+    </message>
+    <message>
+      <source>Map of the residuals on the reference image, arrows enlarged and coloured by length, with rings on the check points and crosses on rejected points.</source>
+      <translation>Karte der Restfehler auf dem Bild der Referenz, Pfeile vergrößert und nach Länge gefärbt, mit Ringen auf den Kontrollpunkten und Kreuzen auf verworfenen Punkten.</translation>
+    </message>
+    <message>
+      <source>Histograms of the residuals in column and in row, and the residuals as points with the circle of CE90.</source>
+      <translation>Histogramme der Restfehler in Spalte und Zeile, und die Restfehler als Punkte mit dem Kreis von CE90.</translation>
+    </message>
+    <message>
+      <source>Residuals in column and row against target column, row and, where an elevation model was given, height, with means of stretches.</source>
+      <translation>Restfehler in Spalte und Zeile gegen Spalte und Zeile des Ziels und, wo ein Höhenmodell gegeben war, die Höhe, mit Mitteln von Abschnitten.</translation>
+    </message>
+    <message>
+      <source>Displacement along the columns and the rows of the target, and by height where an elevation model was given, less its smooth trend, with 95 % confidence bands.</source>
+      <translation>Verschiebung entlang der Spalten und Zeilen des Ziels, und nach der Höhe, wo ein Höhenmodell gegeben war, ohne glatten Trend, mit Bändern von 95 % Konfidenz.</translation>
+    </message>
+    <message>
+      <source>Map of the predicted radial sigma of the correction over the target, with the tie points of the fit; places beyond the tie points are hatched.</source>
+      <translation>Karte des vorhergesagten Sigmas der Korrektur über dem Ziel, mit den Punkten der Anpassung; Orte jenseits der Verknüpfungspunkte sind schraffiert.</translation>
+    </message>
+    <message>
+      <source>Left: the errors of the points, column and row, with the circle that holds 90 % of them. Right: their mean by the fraction of a pixel of the displacement.</source>
+      <translation>Links: die Fehler der Punkte in Spalte und Zeile, mit dem Kreis, der 90 % von ihnen enthält. Rechts: ihr Mittel nach dem Bruchteil eines Pixels der Verschiebung.</translation>
+    </message>
+    <message>
+      <source>Map of the error of each point on the reference.</source>
+      <translation>Karte des Fehlers jedes Punkts auf der Referenz.</translation>
+    </message>
+    <message>
+      <source>Tie points that are kept as a part of the pair is made harder: by displacement, rotation, noise and clouds.</source>
+      <translation>Verknüpfungspunkte, die bleiben, während ein Teil des Paars schwerer gemacht wird: durch Verschiebung, Drehung, Rauschen und Wolken.</translation>
     </message>
     <message>
       <source>Align this layer…</source>
@@ -2256,10 +3612,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Wendet die Korrektur auf andere Kanäle des Layers an; nichts wird verglichen.</translation>
     </message>
     <message>
-      <source>Points</source>
-      <translation>Punkte</translation>
-    </message>
-    <message>
       <source>The tie points of a result are edited here. Align a layer first, or open points or a result.</source>
       <translation>Hier werden die Verknüpfungspunkte eines Ergebnisses bearbeitet. Richten Sie zuerst einen Layer aus, oder öffnen Sie Punkte oder ein Ergebnis.</translation>
     </message>
@@ -2274,10 +3626,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>Open an earlier registration…</source>
       <translation>Frühere Registrierung öffnen…</translation>
-    </message>
-    <message>
-      <source>Before and after</source>
-      <translation>Vergleich</translation>
     </message>
     <message>
       <source>Once a layer is aligned: does it fit? See the result on the map beside, in turns with, or over the layer as it was or the reference.</source>
@@ -2320,10 +3668,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Die Referenz in Rot und das Ergebnis in Cyan: grau, wo sie übereinstimmen.</translation>
     </message>
     <message>
-      <source>Red and cyan</source>
-      <translation>Rot und Cyan</translation>
-    </message>
-    <message>
       <source>The edges of the reference, in red over the result.</source>
       <translation>Die Kanten der Referenz, in Rot über dem Ergebnis.</translation>
     </message>
@@ -2334,10 +3678,6 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
     <message>
       <source>A map of what is left at the tie points, in target pixels.</source>
       <translation>Eine Karte dessen, was an den Verknüpfungspunkten übrig ist, in Zielpixeln.</translation>
-    </message>
-    <message>
-      <source>Residuals</source>
-      <translation>Restfehler</translation>
     </message>
     <message>
       <source>Hold Space on the map to see the reference alone.</source>

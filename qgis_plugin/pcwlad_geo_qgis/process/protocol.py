@@ -14,10 +14,13 @@ from ..text import tr
 from .advice import for_dialog, report_in
 from .child import Feedback, follow
 from .engine import Engine, EngineError
+from .page import translate
 
 REJECTED = 3
 UNEXPECTED = 1
 STDERR_LINES = 20
+PAIRS = ("register", "match", "prove")
+"""Commands whose pages are those of a pair."""
 Shares = Mapping[str, tuple[float, float]]
 SHARES: Shares = {
     "reading": (0, 2),
@@ -137,12 +140,16 @@ def run_engine(
         status = follow(command, feedback, said.on_out, said.on_err, folder, **where)
     except OSError as error:
         raise RunError(tr("The engine does not start: {}").format(error)) from error
-    kind = said.last.get("event")
+    kind, refused = said.last.get("event"), report_in(said.last.get("message", ""))
+    if arguments[0] in PAIRS:
+        for path in [refused, *said.last.get("paths", {}).values()]:
+            if str(path).endswith(".html"):
+                translate(folder / path)
     if kind == "result":
         return said.last
     if feedback.isCanceled() or kind == "cancelled":
         return None
-    raise RunError(_reason(said, status), report_in(said.last.get("message", "")))
+    raise RunError(_reason(said, status), refused)
 
 
 def _reason(said: _Conversation, status: int) -> str:

@@ -12,7 +12,7 @@ from ..help import COLUMNS
 from ..process.points import Points
 from ..text import tr
 
-ROLES = Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.UserRole, Qt.ItemDataRole.TextAlignmentRole
+ROLES = Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.TextAlignmentRole
 """What is asked of a cell that depends on what it holds; of a long table that is asked often."""
 
 
@@ -26,6 +26,7 @@ class PointsModel(QAbstractTableModel):
         self._points, self._source_of = points, source_of
         self.titles = [tr(title) for title in COLUMNS]
         self.residual_column = 8
+        self._keys: dict[int, list[object]] = {}
 
     def rowCount(self, parent: QModelIndex | None = None) -> int:
         return len(self._points.points)
@@ -51,8 +52,6 @@ class PointsModel(QAbstractTableModel):
             if not isinstance(value, float):
                 return value
             return "–" if math.isnan(value) else f"{value:.{3 if column > 5 else 1}f}"
-        if role == Qt.ItemDataRole.UserRole:  # for sorting
-            return -math.inf if isinstance(value, float) and math.isnan(value) else value
         if role == Qt.ItemDataRole.TextAlignmentRole and isinstance(value, float):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         return None
@@ -71,14 +70,22 @@ class PointsModel(QAbstractTableModel):
         on = row not in self._points.off
         return (on, point.number, *cells, tr("on") if on else tr("off"))[column]
 
+    def keys(self, column: int) -> list[object]:
+        """Return what the rows are sorted by: asked of each pair of rows, and so kept until they change."""
+        if column not in self._keys:
+            values = [self.value(row, column) for row in range(self.rowCount())]
+            self._keys[column] = [-math.inf if value != value else value for value in values]  # NaN
+        return self._keys[column]
+
     def refresh(self) -> None:
         """Show the points as they are now."""
+        self._keys = {}
         last = self.index(len(self._points.points) - 1, len(self.titles) - 1)
         self.dataChanged.emit(self.index(0, 0), last)
 
     def appended(self) -> None:
         """Show a point that was added at the end."""
-        count = len(self._points.points)
+        self._keys, count = {}, len(self._points.points)
         self.beginInsertRows(QModelIndex(), count - 1, count - 1)
         self.endInsertRows()
 
@@ -89,9 +96,12 @@ class SortedPoints(QSortFilterProxyModel):
     def __init__(self, points: Points, model: PointsModel, parent: QObject) -> None:
         super().__init__(parent)
         model.setParent(parent)
-        self._points = points
+        self._points, self._model = points, model
         self.setSourceModel(model)
-        self.setSortRole(Qt.ItemDataRole.UserRole)
 
     def filterAcceptsRow(self, row: int, parent: QModelIndex) -> bool:
         return row not in self._points.gone
+
+    def lessThan(self, left: QModelIndex, right: QModelIndex) -> bool:
+        keys = self._model.keys(left.column())
+        return keys[left.row()] < keys[right.row()]
