@@ -57,10 +57,10 @@ def match_candidates(
     if settings.first_features is not None:
         fewer = replace(settings, features=settings.first_features, per_cell=1)
         points, candidates = _match_corners(pair, core, fewer, also)
-        agreeing = points[consistent_points(points, settings)] if len(points) else points
-        if suffice(agreeing, len(candidates)):
+        is_consistent = consistent_points(points, settings) if len(points) else np.zeros(0, bool)
+        if suffice(points, is_consistent, len(candidates)):
             return points, replace(candidates, are_all=False)
-        if are_hopeless(len(agreeing), len(points)):
+        if are_hopeless(int(is_consistent.sum()), len(points)):
             return points, candidates
     return _match_corners(pair, core, settings, also)
 

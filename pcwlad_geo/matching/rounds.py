@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.estimation.surfaces import surface_terms
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
+from pcwlad_geo.types import Bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +31,11 @@ class RoundParameters:
     bent_px: float = 0.5
     """Largest distance of 68 % of these from a surface of second order: beyond it the displacement has detail
     that few points are too sparse to tell."""
+    strays: int = 3
+    """Number of the others from which all are matched, where they agree on another displacement: patches of
+    a sixth of the ground, smaller than a window, leave four of 168."""
+    stray_px: float = 2.0
+    """Least distance of these from their neighbours, and largest from each other."""
     least_matched: int = 12
     """Least number of their matches from which others are in vain where none of these agree."""
 
@@ -52,20 +59,33 @@ def in_rounds(settings: MatchSettings, area_px2: float) -> MatchSettings:
     return replace(settings, first_features=first if in_two_rounds else None)
 
 
-def suffice(agreeing: TiePoints, candidates: int) -> bool:
-    """Return whether the first candidates, whose `agreeing` points are given, need no others.
+def suffice(points: TiePoints, is_consistent: Bool, candidates: int) -> bool:
+    """Return whether the first candidates, of which (n,) `points` are consistent, need no others.
 
-    They do not where most of them agree, in numbers that tell the window and the model of the correction, and
-    a smooth surface holds their displacements. A flexible model follows sparse points of ground with relief,
-    and only dense ones tell how far it departs from them.
+    They do not where most of them agree, in numbers that tell the window and the model of the correction, a
+    smooth surface holds their displacements, and the rest agrees on nothing else. A flexible model follows
+    sparse points of ground with relief, and only dense ones tell how far it departs from them.
     """
+    agreeing = points[is_consistent]
     if len(agreeing) < max(ROUNDS.least_agreeing, ROUNDS.agreeing_share * candidates):
         return False
     place = agreeing.reference_xy_px - agreeing.reference_xy_px.mean(axis=0)
     design = surface_terms(place / max(float(np.abs(place).max()), 1.0))
     values_px = agreeing.displacement_px
     residual_px = values_px - design @ least_squares(design, values_px)
-    return float(np.percentile(np.hypot(*residual_px.T), 68)) <= ROUNDS.bent_px
+    is_smooth = float(np.percentile(np.hypot(*residual_px.T), 68)) <= ROUNDS.bent_px
+    return is_smooth and not _stray_together(agreeing, points[~is_consistent])
+
+
+def _stray_together(agreeing: TiePoints, others: TiePoints) -> bool:
+    """Return whether most of the others lie at the same displacement from their neighbours that agree."""
+    nearest = cKDTree(agreeing.reference_xy_px).query(others.reference_xy_px)[1]
+    offset_px = others.displacement_px - agreeing.displacement_px[nearest]
+    offset_px = offset_px[np.hypot(*offset_px.T) > ROUNDS.stray_px]
+    if len(offset_px) < ROUNDS.strays:
+        return False
+    alike = np.hypot(*(offset_px - np.median(offset_px, axis=0)).T) < ROUNDS.stray_px
+    return int(alike.sum()) >= max(ROUNDS.strays, len(offset_px) / 2)
 
 
 def are_hopeless(agreeing: int, matches: int) -> bool:

@@ -54,8 +54,20 @@ def test_displacements_with_detail_need_more_than_the_first(amplitude_px: float,
     wave_px = np.array(SHIFT_XY) + amplitude_px * np.sin(2 * np.pi * xy_px / 90.0) + 2e-5 * xy_px**2
     n = len(xy_px)
     points = TiePoints(xy_px, xy_px + wave_px, np.tile(1e-3 * np.eye(2), (n, 1, 1)), np.ones(n), np.zeros(n))
-    assert suffice(points, n) == few
-    assert not suffice(points[:50], 50)
+    agree = np.ones(n, bool)
+    assert suffice(points, agree, n) == few
+    assert not suffice(points[:50], agree[:50], 50)
+
+
+@pytest.mark.parametrize(("together", "few"), [(4, False), (2, True), (0, True)])
+def test_more_are_matched_where_the_rest_agrees_on_another_displacement(together: int, few: bool) -> None:
+    xy_px = np.random.default_rng(3).uniform(0, 400, (160, 2))
+    moved_px = np.tile(SHIFT_XY, (len(xy_px), 1))
+    moved_px[:together] += (3.7, 0.2)
+    moved_px[together:6] += np.array([[9, 1], [-8, 3], [1, -9], [-7, -7], [4, 9], [9, -6]])[together:]
+    covariance_px2 = np.tile(1e-3 * np.eye(2), (len(xy_px), 1, 1))
+    points = TiePoints(xy_px, xy_px + moved_px, covariance_px2, np.ones(160), np.zeros(160))
+    assert suffice(points, np.arange(160) >= 6, len(points)) == few
 
 
 def test_where_none_of_the_first_agree_no_others_are_matched() -> None:

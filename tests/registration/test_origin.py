@@ -213,7 +213,7 @@ def test_fewer_points_leave_the_check_points(folder: Path) -> None:
 
 def true_ce90_px(found: Registration, pair: tuple[Path, Path]) -> float:
     """Return the error that 90 % of the common ground of the sample stay within, by its formula."""
-    places = _common_px(found.record, prepare_pair(*pair, Settings()).views, found.target)
+    places = _common_px(found.record, prepare_pair(*pair, Settings()).views, found.target, bare=False)
     assert found.model is not None
     moved = found.model.forward(places) - places
     return float(np.percentile(np.hypot(*(moved - make_sample_data.true_displacement_px(places)).T), 90))

@@ -54,9 +54,9 @@ def register(folder: Path, linear: Array, shift: Array, *, located: bool, **opti
     )
 
 
-def errors_px(found: Registration, linear: Array, shift: Array) -> Array:
+def errors_px(found: Registration, linear: Array, shift: Array, least: int = 101) -> Array:
     points = found.tie_points.select("fit", "check", "matched")
-    assert len(points) > 100
+    assert len(points) >= least
     return np.linalg.norm(points.target_px - points.reference_px @ linear.T - shift, axis=1)
 
 
@@ -229,7 +229,7 @@ def test_pixels_of_very_different_size_are_found_by_the_cameras(told: bool, tmp_
     assert any("data are ignored" in warning for warning in found.warnings) != told
     assert found.status == "registered"
     assert found.prealignment.expected_scale == pytest.approx(1 / 8)  # by the lenses alone, if not told
-    assert np.median(errors_px(found, linear / 8, shift)) < 0.3
+    assert np.median(errors_px(found, linear / 8, shift, least=60)) < 0.3
 
 
 @pytest.mark.slow
