@@ -6,15 +6,14 @@ waves show. Where ground is clear, its tie points are drawn by fractions of a pi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import scipy.fft
-from numpy.typing import NDArray
 
 from pcwlad_geo.registration.frame_cleaning import CleanedPair, frames_of, read_frames, with_frames
-from pcwlad_geo.registration.frame_marks import Frames, SpeckParameters, filled
+from pcwlad_geo.registration.frame_marks import Frames
+from pcwlad_geo.registration.frame_phases import Phases, frequencies, highest, inner, spectra
 from pcwlad_geo.registration.result import Pair
 from pcwlad_geo.types import Bool, Float32, Float64
 
@@ -102,49 +101,30 @@ def _ground_beside_pattern(frames: Frames, parameters: PatternParameters) -> Flo
     """Return the (2,) displacement of the ground where the finest structure agrees at none instead."""
     side = min(frames.valid.shape) // 2 * 2
     top, left = ((length - side) // 2 for length in frames.valid.shape)
-    square = np.s_[top : top + side, left : left + side]
-    spectra = [scipy.fft.rfft2(_flat(values[square], frames.valid[square])) for values in frames[:2]]
-    crossed = np.conj(spectra[0]) * spectra[1]
-    crossed /= np.abs(crossed) + 1e-9
-    row, col = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)
-    radius, inner = np.hypot(row, col), (np.abs(row) > 2 / side) & (col > 2 / side)
+    square, shape = np.s_[top : top + side, left : left + side], (side, side)
+    part = Frames(frames.one[square], frames.other[square], frames.valid[square])
+    phases = Phases.of(*spectra(part), inner(shape), shape)
+    row, col = frequencies(shape)
+    radius = np.hypot(row, col)
     shortest, longest = parameters.ground_px
-    ground_px = _peak_px(crossed * (inner & (radius > 1 / longest) & (radius < 1 / shortest)), parameters)
+    band = (radius > 1 / longest) & (radius < 1 / shortest)
+    ground_px = _peak_px(replace(phases, crossed=phases.crossed * band), parameters)
     if ground_px is None or np.abs(ground_px).max() < parameters.least_px:
         return None
-    fine = inner & (radius > 1 / parameters.finest_px) & (radius <= 0.5)
+    fine = inner(shape) & (radius > 1 / parameters.finest_px) & (radius <= 0.5)
     at_ground = np.exp(2j * np.pi * (col * ground_px[0] + row * ground_px[1]))
     chance = np.sqrt(np.count_nonzero(fine) / 2)
-    at_none, there = (abs(float(part[fine].real.sum())) / chance for part in (crossed, crossed * at_ground))
+    at_none, there = (
+        abs(float(crossed[fine].real.sum())) / chance
+        for crossed in (phases.crossed, phases.crossed * at_ground)
+    )
     return ground_px if at_none > max(parameters.pattern_z, parameters.pattern_ratio * there) else None
 
 
-def _peak_px(crossed: NDArray[np.complex64], parameters: PatternParameters) -> Float64 | None:
+def _peak_px(phases: Phases, parameters: PatternParameters) -> Float64 | None:
     """Return the (2,) displacement (col, row) at which phases agree; None where they hardly do."""
-    side, reach = len(crossed), parameters.reach_px
-    surface = np.abs(scipy.fft.irfft2(crossed, (side, side)))
-    window = np.roll(surface, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-    if window.max() < parameters.ground_z * np.sqrt((surface**2).mean()):
+    surface = phases.surface()
+    place_px, height = highest(np.abs(surface), np.zeros(2), parameters.reach_px)
+    if height < parameters.ground_z * surface.std():
         return None
-    down, right = np.unravel_index(int(window.argmax()), window.shape)
-    fine = np.linspace(-1, 1, parameters.steps)
-    rows, cols = int(down) - reach + fine, int(right) - reach + fine
-    along_rows = np.exp(2j * np.pi * np.outer(rows, np.fft.fftfreq(side)))
-    along_cols = np.exp(2j * np.pi * np.outer(np.fft.rfftfreq(side), cols))
-    peaks = np.abs((along_rows @ crossed @ along_cols).real)
-    best = np.unravel_index(int(peaks.argmax()), peaks.shape)
-    return np.array([cols[best[1]], rows[best[0]]])
-
-
-def _flat(values: Float32, valid: Bool) -> Float32:
-    """Return (side, side) values without shading and what whole rows or columns have, tapered.
-
-    Invalid pixels are filled from around them, or their outlines would agree in both images.
-    """
-    known = filled(values, ~valid, SpeckParameters()) if valid.any() else np.zeros_like(values)
-    flat = known - cv2.GaussianBlur(known, (0, 0), 12)
-    flat -= flat.mean(axis=0)
-    flat -= flat.mean(axis=1)[:, None]
-    taper = np.hanning(len(flat)).astype(np.float32)
-    flat = np.clip(flat / max(float(flat.std()), 1e-9), -4, 4)
-    return np.asarray(flat * taper[:, None] * taper, np.float32)
+    return phases.peak_beside(place_px, parameters.steps)[0]

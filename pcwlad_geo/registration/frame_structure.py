@@ -9,9 +9,17 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from pcwlad_geo.registration.frame_marks import Frames, SpeckParameters, structure_band
+from pcwlad_geo.registration.frame_phases import (
+    Phases,
+    Spectrum,
+    flattened,
+    frequencies,
+    highest,
+    inner,
+    spectra,
+)
 from pcwlad_geo.types import Bool, Float32, Float64
 
 
@@ -153,8 +161,8 @@ def rival(frames: Frames, parameters: FrameParameters) -> tuple[float, float] | 
     peak at d. The images' own cepstra show whether the ground only repeats.
     """
     rows, cols = frames.one.shape
-    first, second = _spectra(frames)
-    band = _frequencies(frames.one.shape, parameters)
+    first, second = spectra(frames)
+    band = _band(frames, parameters)
     crossed = np.conj(first) * second * band
     correlation = crossed.real.sum() / max(
         np.linalg.norm(first * band) * np.linalg.norm(second * band), 1e-12
@@ -162,17 +170,17 @@ def rival(frames: Frames, parameters: FrameParameters) -> tuple[float, float] | 
     if abs(correlation) > parameters.same_correlation:
         return None
     sign = 1.0 if correlation >= 0 else -1.0
-    peaks = _cepstrum(first - sign * second, band)
+    peaks = _cepstrum(first - np.float32(sign) * second, band, cols)
     far = [np.abs(np.fft.fftfreq(side) * side) >= parameters.rival_min_px for side in (rows, cols)]
     distant = far[0][:, None] | far[1]
     at = np.unravel_index(np.argmax(np.where(distant, peaks, 0)), peaks.shape)
-    cepstra = peaks, _cepstrum(first, band), _cepstrum(second, band)
+    cepstra = peaks, _cepstrum(first, band, cols), _cepstrum(second, band, cols)
     depth, *own_depths = (
         float(cepstrum[at] / (1.4826 * np.median(np.abs(cepstrum[distant])))) for cepstrum in cepstra
     )
     if depth < max(parameters.rival_z, parameters.rival_ratio * max(own_depths)):
         return None
-    phase = np.fft.ifft2(sign * crossed / (np.abs(crossed) + 1e-12)).real
+    phase = sign * Phases.of(first, second, band, frames.valid.shape).surface()
     both = [(int(at[0]), int(at[1])), (-int(at[0]) % rows, -int(at[1]) % cols)]
     down, right = max(both, key=lambda place: phase[place])
     return float(right - cols * (2 * right > cols)), float(down - rows * (2 * down > rows))
@@ -192,16 +200,13 @@ def near_rival(
         return None
     first, second = (scipy.fft.rfft2(_structure(values, valid, parameters)) for values in (one, other))
     surface = scipy.fft.irfft2((np.conj(first) * second).sum(axis=0), one.shape)
-    reach = parameters.reach_px
-    window = np.roll(surface, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-    row, col = np.unravel_index(int(window.argmax()), window.shape)
+    ground_px, height = highest(surface, np.zeros(2), parameters.reach_px)
     least = max(parameters.near_z * surface.std(), parameters.near_ratio * surface[0, 0])
-    ground_px = np.array([col, row], np.float64) - reach
     is_drawn = ground_px @ middle_px < parameters.drawn_share * (ground_px @ ground_px)
     if on_the_way:  # from no displacement to that of the ground
         way = ground_px / max(float(np.hypot(*ground_px)), 1.0)
         is_drawn &= bool(np.hypot(*(middle_px - (middle_px @ way) * way)) <= parameters.pulled_px)
-    if window[row, col] < least or not is_drawn:
+    if height < least or not is_drawn:
         return None
     return float(ground_px[0]), float(ground_px[1])
 
@@ -219,33 +224,16 @@ def ground_beside(
     displacement_px : (n, 2) array
         Displacements (col, row) of the tie points, px.
     """
-    rows, cols = frames.one.shape
-    crossed = _phases(frames, parameters)
-    surface, reach = np.fft.ifft2(crossed).real, parameters.reach_px
-    middle_px = np.median(displacement_px, axis=0)
-    first_col, first_row = (np.rint(middle_px).astype(int) - reach).tolist()
-    window = np.roll(np.abs(surface), (-first_row, -first_col), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-    row, col = np.unravel_index(int(window.argmax()), window.shape)
-    if window[row, col] < parameters.beside_z * surface.std():
+    phases = Phases.of(*spectra(frames), _band(frames, parameters), frames.valid.shape)
+    surface, middle_px = phases.surface(), np.median(displacement_px, axis=0)
+    place_px, height = highest(np.abs(surface), middle_px, parameters.reach_px)
+    if height < parameters.beside_z * surface.std():
         return None
-    fine = np.linspace(-1, 1, parameters.beside_steps)
-    down, right = int(row) + first_row + fine, int(col) + first_col + fine
-
-    def at(down_px: Float64, right_px: Float64) -> Float64:
-        """Return the surface between pixels, whatever its sign: bands may be each other's negative."""
-        waves = [
-            np.exp(2j * np.pi * np.outer(px, np.fft.fftfreq(side)))
-            for px, side in ((down_px, rows), (right_px, cols))
-        ]
-        return np.abs((waves[0] @ crossed @ waves[1].T).real)
-
-    peaks = at(down, right)
-    best = np.unravel_index(int(peaks.argmax()), peaks.shape)
-    ground_px = np.array([right[best[1]], down[best[0]]])
+    ground_px, peak = phases.peak_beside(place_px, parameters.beside_steps)
     beside_px = float(np.hypot(*(ground_px - middle_px)))
     scatter_px = float(np.quantile(np.hypot(*(displacement_px - middle_px).T), parameters.most))
-    at_points = float(at(middle_px[1:], middle_px[:1])[0, 0])
-    is_other_peak = beside_px > parameters.finest_px and peaks.max() < parameters.beside_ratio * at_points
+    at_points = float(phases.size_at(*middle_px[:, None])[0, 0])
+    is_other_peak = beside_px > parameters.finest_px and peak < parameters.beside_ratio * at_points
     is_pattern = np.hypot(*ground_px) < parameters.pulled_px  # a sensor's, which stands still itself
     least_px = max(parameters.beside_px, parameters.beside_scatter * scatter_px)
     if is_pattern or is_other_peak or beside_px < least_px:
@@ -253,28 +241,11 @@ def ground_beside(
     return float(ground_px[0]), float(ground_px[1])
 
 
-def _phases(frames: Frames, parameters: FrameParameters) -> NDArray[np.complex128]:
-    """Return the (rows, cols) phases of the cross spectrum, 0 outside the band of wavelengths."""
-    first, second = _spectra(frames)
-    crossed = np.conj(first) * second
-    return np.asarray(crossed / (np.abs(crossed) + 1e-9) * _frequencies(frames.one.shape, parameters))
-
-
-def _spectra(frames: Frames) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return the (rows, cols) spectra of both images without shading, tapered to their borders."""
-    one, other, valid = frames
-    rows, cols = one.shape
-    taper = np.hanning(rows)[:, None] * np.hanning(cols)
-    return np.fft.fft2(_flattened(one, valid) * taper), np.fft.fft2(_flattened(other, valid) * taper)
-
-
-def _frequencies(shape: tuple[int, ...], parameters: FrameParameters) -> Bool:
+def _band(frames: Frames, parameters: FrameParameters) -> Bool:
     """Return the frequencies in which ground is sought, without those of whole rows and columns."""
-    rows, cols = shape
-    row, col = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(cols)
-    radius = np.hypot(row, col)
+    radius = np.hypot(*frequencies(frames.valid.shape))
     band = (radius < 1 / parameters.finest_px) & (radius > 1 / parameters.coarsest_px)
-    return np.asarray(band & (np.abs(row) > 2 / rows) & (np.abs(col) > 2 / cols))
+    return np.asarray(band & inner(frames.valid.shape))
 
 
 def is_of_single_pixels(frames: Frames, parameters: FrameParameters) -> bool:
@@ -282,18 +253,16 @@ def is_of_single_pixels(frames: Frames, parameters: FrameParameters) -> bool:
 
     Ground never is: its spectrum falls by two orders of magnitude between waves of 10 and of 2 px.
     """
-    rows, cols = frames.one.shape
-    first, second = _spectra(frames)
-    row, col = np.abs(np.fft.fftfreq(rows))[:, None], np.abs(np.fft.fftfreq(cols))
-    radius, crossed = np.hypot(row, col), (np.conj(first) * second).real
-    inner = (row > 2 / rows) & (col > 2 / cols)  # rows and columns that stand out
-    fine = inner & (radius > 1 / parameters.pixel_noise_px) & (radius <= 0.5)
+    first, second = spectra(frames)
+    radius, crossed = np.hypot(*frequencies(frames.valid.shape)), (np.conj(first) * second).real
+    band = inner(frames.valid.shape)
+    fine = band & (radius > 1 / parameters.pixel_noise_px) & (radius <= 0.5)
     power = float(np.linalg.norm(first[fine]) * np.linalg.norm(second[fine]))
     if crossed[fine].sum() < parameters.pixel_coherence * max(power, 1e-12):
         return False
     longest_px = 8.0 * np.array([1.0, 2.0, 4.0])
     octaves = [
-        inner & (radius > 1 / coarse) & (radius <= 1 / finer)
+        band & (radius > 1 / coarse) & (radius <= 1 / finer)
         for finer, coarse in itertools.pairwise(longest_px)
     ]
     least = parameters.ground_by_pixel * float(crossed[fine].mean())
@@ -322,23 +291,15 @@ def common_grey(frames: Frames) -> float:
     """Return the correlation of the grey values without shading, or of their finest structure if higher."""
     one, other, valid = frames
     pairs = (
-        tuple(_flattened(values, valid)[valid] for values in (one, other)),
+        tuple(flattened(values, valid)[valid] for values in (one, other)),
         tuple((values - cv2.GaussianBlur(values, (0, 0), 1))[valid] for values in (one, other)),
     )
     return max((float(np.corrcoef(*pair)[0, 1]) for pair in pairs if min(map(np.ptp, pair)) > 0), default=0.0)
 
 
-def _flattened(values: Float32, valid: Bool) -> Float64:
-    """Return values without shading and what whole rows or columns have, in standard deviations."""
-    flat = values - cv2.GaussianBlur(values, (0, 0), 12)
-    flat -= np.median(flat, axis=0)
-    flat -= np.median(flat, axis=1)[:, None]
-    flat *= valid
-    return np.asarray(np.clip(flat / max(float(flat.std()), 1e-12), -4, 4), np.float64)
-
-
-def _cepstrum(spectrum: NDArray[np.complex128], band: Bool) -> Float64:
+def _cepstrum(spectrum: Spectrum, band: Bool, cols: int) -> Float64:
     """Return the (rows, cols) cepstrum of a spectrum in the frequencies that are `band`, its sign turned."""
-    power = np.abs(spectrum) ** 2
+    power = np.abs(spectrum).astype(np.float64) ** 2
     log = np.log(power + 1e-9 * power.max() + 1e-300)
-    return np.asarray(-np.fft.ifft2(np.where(band, log - log[band].mean(), 0)).real)
+    shape = len(spectrum), cols
+    return np.asarray(-scipy.fft.irfft2(np.where(band, log - log[band].mean(), 0), shape))
