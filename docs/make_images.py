@@ -121,9 +121,8 @@ TYPES = (
     Box(0, 1.5, "SceneMatches", "registration/scene/matching\npoints and sigmas", width=1.95),
     Box(0, 0, "TiePointTable", "tiepoints/table\nrows with a status", GREEN, width=1.95),
     Box(2.2, 0, "Matches", "registration/result\ntable and verdict", GREEN, width=1.95),
-    Box(4.4, 0, "AssessedFit", "registration/fitting\nresiduals, grade", GREEN, width=1.95),
-    Box(6.6, 0, "Registration", "registration/result\ncorrection, warnings", GREEN, width=1.95),
-    Box(8.8, 0, "tiepoints.csv", "outputs/files\nwith report.json", GREEN, width=1.95),
+    Box(4.4, 0, "Registration", "registration/result\ncorrection, grade", GREEN, width=1.95),
+    Box(6.6, 0, "tiepoints.csv", "outputs/files\nwith report.json", GREEN, width=1.95),
 )
 """The types of a tie point, each with its module."""
 

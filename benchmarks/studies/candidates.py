@@ -163,7 +163,9 @@ def _registered(
     cpu_s = time.process_time() - begun
     if not matches.accepted:
         return None
-    correction = fit_pair(matches).fitted.correction
+    correction = fit_pair(matches).model
+    if correction is None:
+        return None
     along = (np.arange(CHECKED_ALONG) + 0.5) / CHECKED_ALONG * side
     xy_px = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     off_px = np.linalg.norm(correction.forward(xy_px) - truth(xy_px), axis=1)

@@ -100,8 +100,8 @@ def open(  # as rasterio.open
             return Raster(opened.array, opened.grid, nodata=opened.nodata, mask=excluded)
         product = find_product(place)
         if product is not None:
-            chosen = product.band("B1" if band is None else str(band))
-            info = describe(chosen.opened_as(), mask=mask_path or product.mask, part=True)
+            product_band = product.band("B1" if band is None else str(band))
+            info = describe(product_band.opened_as(), mask=mask_path or product.mask, part=True)
             return Raster.of_file(info, mask=mask_raster, trust=trust)
         if isinstance(band, str):
             raise InputError(no_product(place, band) or f"band {band} of {place} is no number")
@@ -203,7 +203,7 @@ def fit(points: TiePoints, model: Model | None = None, *, on_event: EventCallbac
             "model = 'rpc': the pair was matched without the target's RPC: match it with model='rpc'"
         )
     with trusting(settings.trust):
-        registration = conclude(matches, fit_pair(matches, settings, on_event=on_event))
+        registration = fit_pair(matches, settings, on_event=on_event)
     result = Registration.of(registration, matches, cast(Scratch, pair.scratch))
     correction = result.correction
     if correction is None:
@@ -317,8 +317,7 @@ def _in_memory(
     with trusting(settings.trust), open_pair_runner(settings, executor, on_event) as runner:
         if settings.prove == "off":
             matches = match_pair(prepared(names, settings, scratch, on_event), runner, on_event=on_event)
-            fitted = fit_pair(matches, on_event=on_event) if matches.accepted else None
-            result = conclude(matches, fitted)
+            result = fit_pair(matches, on_event=on_event) if matches.accepted else conclude(matches)
         else:
             matches, result = None, register_pair(*names, settings, on_event=on_event, runner=runner)
         check_unchanged(file.identity for file in result.inputs)

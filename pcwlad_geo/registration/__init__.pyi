@@ -1,4 +1,4 @@
-from .assessment import fit_pair
+from .assessment import conclude, fit_pair
 from .decision import Decision
 from .inputs import InputFile, Inputs, check_output, estimate_tile_count, requested_grid, resolve
 from .matching import match_pair
@@ -19,7 +19,7 @@ from .quality import (
 )
 from .result import Matches, Pair, PairGeometry, Registration, RegistrationStatus
 from .rpc import CorrectedRpc, RpcRegistration
-from .run import conclude, prove_pair, register_inputs, register_pair
+from .run import prove_pair, register_inputs, register_pair
 from .starts.alignment import Prealignment
 from .starts.pose import Pose
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, VRT_MODELS
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
@@ -25,17 +26,17 @@ from pcwlad_geo.raster import (
     pixel_sizes_m,
     plan_views,
 )
+from pcwlad_geo.raster.grid import pixel_size_m
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
-from pcwlad_geo.registration.fitting import AssessedFit, Fitted, fit_correction, footprint_px
+from pcwlad_geo.registration.decision import Decision
+from pcwlad_geo.registration.fitting import Fitted, fit_correction, footprint_px
 from pcwlad_geo.registration.match_record import MatchRecord, record_ground
 from pcwlad_geo.registration.motions import MotionParameters
 from pcwlad_geo.registration.quality import FAIR_PX, GOOD_PX, Quality, Reason, assess
-from pcwlad_geo.registration.result import Matches, Pair
-from pcwlad_geo.registration.rpc import (
-    height_errors,
-)
+from pcwlad_geo.registration.result import Matches, Pair, Registration
+from pcwlad_geo.registration.rpc import corrected_rpc, height_errors
 from pcwlad_geo.registration.seams import seam_of
-from pcwlad_geo.tiepoints.table import TiePointTable, predict_target_px
+from pcwlad_geo.tiepoints.table import TiePointTable, overlap_middle_px, predict_target_px
 from pcwlad_geo.types import Bool, Float64
 
 
@@ -60,8 +61,8 @@ def fit_pair(
     *,
     on_event: EventCallback = ignore,
     parameters: AssessmentParameters = AssessmentParameters(),
-) -> AssessedFit:
-    """Fit a correction to tie points that were accepted, and grade it.
+) -> Registration:
+    """Fit a correction to tie points that were accepted, grade it, and conclude: registered, or rejected.
 
     Raises `InputError` if the model cannot be fitted to these points.
 
@@ -117,7 +118,60 @@ def fit_pair(
     for reason in quality.reasons if decision.accepted else ():
         if reason.text not in log.warnings:
             log.warn(reason.text)
-    return AssessedFit(fitted, quality, decision, settings, tuple(log.warnings), log.seconds)
+    return _concluded(matches, fitted, decision, settings, log)
+
+
+def _concluded(
+    matches: Matches, fitted: Fitted, decision: Decision, settings: Settings, log: JobLog
+) -> Registration:
+    """Return a pair with the correction fitted, or if that is refused with what tells of it alone."""
+    registration = replace(
+        conclude(matches),
+        decision=decision,
+        warnings=tuple(log.warnings),
+        settings=settings,
+        seconds=log.seconds,
+        selection=fitted.selection,
+    )
+    if not decision.accepted:
+        return registration
+    correction, rpc = fitted.correction, matches.pair.rpc
+    return replace(
+        registration,
+        tie_points=fitted.table,
+        model=correction,
+        accuracy=fitted.accuracy,
+        rpc=corrected_rpc(rpc, correction) if rpc else None,
+    )
+
+
+def conclude(matches: Matches) -> Registration:
+    """Return what is known of a pair to which nothing was fitted: matched, or rejected with a reason."""
+    pair = matches.pair
+    grid = at_mean_height(pair.target.grid)
+    return Registration(
+        decision=matches.decision,
+        warnings=matches.warnings,
+        reference=pair.reference,
+        target=pair.target,
+        matching_grid=matches.views.reference.grid,
+        px_m=pixel_size_m(grid, overlap_middle_px(matches.views, pair.target)),
+        prealignment=matches.prealignment,
+        tie_points=matches.tie_points,
+        model=None,
+        accuracy=FitAccuracy(),
+        counts=matches.counts,
+        seconds=matches.seconds,
+        settings=pair.settings,
+        geometry=matches.geometry,
+        motions=matches.motions,
+        jitter_px=matches.jitter_px,
+        record=matches.record,
+        rpc=corrected_rpc(pair.rpc, None) if pair.rpc else None,
+        inputs=pair.inputs,
+        window_px=matches.window_px if matches.origin is None else matches.origin.window_px,
+        origin=matches.origin,
+    )
 
 
 def _with_seam(quality: Quality, fitted: Fitted, places_px: Float64, footprint_px: float) -> Quality:

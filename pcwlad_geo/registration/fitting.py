@@ -13,8 +13,6 @@ from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.points import hold_out
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.options import Settings
-from pcwlad_geo.registration.decision import Decision
-from pcwlad_geo.registration.quality import Quality
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Bool, Float64
 
@@ -40,22 +38,6 @@ class Fitted:
     def correction(self) -> Correction:
         """The model chosen."""
         return self.selection.fit.correction
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AssessedFit:
-    """A fitted correction, and how good it is."""
-
-    fitted: Fitted
-    quality: Quality
-    decision: Decision
-    """That of the tie points with the quality; refused where no corrected raster should be made."""
-    settings: Settings
-    """What it was fitted with."""
-    warnings: tuple[str, ...]
-    """Of all steps up to this one."""
-    seconds: dict[str, float]
-    """Likewise."""
 
 
 def fit_correction(

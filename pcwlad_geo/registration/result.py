@@ -240,7 +240,8 @@ class Registration(Shown):
     seconds: dict[str, float]
     settings: Settings
     selection: Selection | None = None
-    """How the correction was chosen, and its precision anywhere; None where there is none."""
+    """How the correction was chosen, and its precision anywhere, also where the fit was refused; None where
+    nothing was fitted."""
     geometry: PairGeometry = PairGeometry("planar")
     """By what the tie points were told from wrong matches."""
     motions: tuple[Motion, ...] = ()

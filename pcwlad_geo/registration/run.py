@@ -5,25 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pcwlad_geo.correction import Effort
-from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.errors import InputError, RegistrationRejectedError
 from pcwlad_geo.events import EventCallback, JobLog, ignore
 from pcwlad_geo.execution.runner import InThisProcess, Runner
 from pcwlad_geo.options import Settings
-from pcwlad_geo.raster import at_mean_height
-from pcwlad_geo.raster.grid import pixel_size_m
-from pcwlad_geo.registration.assessment import fit_pair
-from pcwlad_geo.registration.fitting import AssessedFit
+from pcwlad_geo.registration.assessment import conclude, fit_pair
 from pcwlad_geo.registration.inputs import Inputs, resolve
 from pcwlad_geo.registration.matching import match_pair
 from pcwlad_geo.registration.opening import prepare_inputs, prepare_pair
 from pcwlad_geo.registration.result import Matches, Registration
-from pcwlad_geo.registration.rpc import (
-    corrected_rpc,
-)
 from pcwlad_geo.text import joined
-from pcwlad_geo.tiepoints.table import overlap_middle_px
 from pcwlad_geo.types import PathLike
 
 
@@ -62,7 +54,7 @@ def register_inputs(
         return _proved(matches, settings, on_event, runner, match_only=match_only)
     if match_only or not matches.accepted:
         return conclude(matches)
-    return conclude(matches, fit_pair(matches, on_event=on_event))
+    return fit_pair(matches, on_event=on_event)
 
 
 def _proved(
@@ -73,32 +65,33 @@ def _proved(
     A pair that nothing can be proved of, as it has too few points, is concluded with a warning.
     """
     try:
-        fitted, proof, seconds = _fit_and_prove(
+        fitted, proof = _fit_and_prove(
             matches, "full" if settings.prove == "full" else "quick", on_event, runner
         )
     except InputError as error:
-        registration = conclude(matches, None if match_only else fit_pair(matches, on_event=ignore))
+        registration = conclude(matches) if match_only else fit_pair(matches, on_event=ignore)
         log = JobLog(on_event, list(registration.warnings))
         log.warn(joined(error) + ("; its sigmas are not calibrated" if settings.calibrate_sigma else ""))
         return replace(registration, warnings=tuple(log.warnings))
+    proving_s = fitted.seconds["proving"]
     if settings.calibrate_sigma:
         matches = _with_sigmas(matches, proof.sigma.calibration)
         fitted = fit_pair(matches, on_event=ignore)
-    registration = conclude(matches, None if match_only else fitted)
-    return replace(registration, proof=proof, seconds=registration.seconds | {"proving": seconds["proving"]})
+    registration = conclude(matches) if match_only else fitted
+    return replace(registration, proof=proof, seconds=registration.seconds | {"proving": proving_s})
 
 
 def _fit_and_prove(
     matches: Matches, effort: Effort, on_event: EventCallback, runner: Runner
-) -> tuple[AssessedFit, Proof, dict[str, float]]:
-    """Fit the correction and measure the error of the matching; return both and the seconds of the stages."""
+) -> tuple[Registration, Proof]:
+    """Fit the correction, measure the error of the matching, and return both."""
     from pcwlad_geo.registration.proof.prove import prove  # slow to load, and rarely asked for
 
     fitted = fit_pair(matches, on_event=on_event)
     log = JobLog(on_event, list(fitted.warnings), dict(fitted.seconds))
     with log.stage("proving"):
         proof = prove(matches, fitted, effort, log, runner.threads, register=register_pair)
-    return fitted, proof, log.seconds
+    return replace(fitted, seconds=log.seconds), proof
 
 
 def _with_sigmas(matches: Matches, factor: float) -> Matches:
@@ -129,41 +122,4 @@ def prove_pair(
     matches = match_pair(pair, runner, on_event=on_event)
     if not matches.accepted:
         raise RegistrationRejectedError(f"nothing can be proved: {matches.reason}", conclude(matches))
-    fitted, proof, seconds = _fit_and_prove(matches, effort, on_event, runner)
-    return replace(conclude(matches, fitted), seconds=seconds), proof
-
-
-def conclude(matches: Matches, assessed: AssessedFit | None = None) -> Registration:
-    """Judge what was found: registered, rejected with a reason, or matched where nothing was fitted.
-
-    The `assessed` is of these tie points.
-    """
-    pair = matches.pair
-    decision = assessed.decision if assessed else matches.decision
-    fitted = assessed.fitted if assessed and decision.accepted else None
-    correction = fitted.correction if fitted else None
-    grid = at_mean_height(pair.target.grid)
-    return Registration(
-        decision=decision,
-        warnings=assessed.warnings if assessed else matches.warnings,
-        reference=pair.reference,
-        target=pair.target,
-        matching_grid=matches.views.reference.grid,
-        px_m=pixel_size_m(grid, overlap_middle_px(matches.views, pair.target)),
-        prealignment=matches.prealignment,
-        tie_points=fitted.table if fitted else matches.tie_points,
-        model=correction,
-        accuracy=fitted.accuracy if fitted else FitAccuracy(),
-        counts=matches.counts,
-        seconds=assessed.seconds if assessed else matches.seconds,
-        settings=assessed.settings if assessed else pair.settings,
-        selection=fitted.selection if fitted else None,
-        geometry=matches.geometry,
-        motions=matches.motions,
-        jitter_px=matches.jitter_px,
-        record=matches.record,
-        rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
-        inputs=pair.inputs,
-        window_px=matches.window_px if matches.origin is None else matches.origin.window_px,
-        origin=matches.origin,
-    )
+    return _fit_and_prove(matches, effort, on_event, runner)

@@ -98,7 +98,9 @@ class PrecisionMap:
 def precision_of(registration: Registration) -> PrecisionMap | None:
     """Return the predicted sigma of a registration's correction; None if there is no correction."""
     selection = registration.selection
-    return None if selection is None else PrecisionMap.of(selection, registration.target.grid.shape)
+    if selection is None or registration.model is None:
+        return None
+    return PrecisionMap.of(selection, registration.target.grid.shape)
 
 
 def _counts(shape: tuple[int, int], step: float) -> list[tuple[int, int]]:

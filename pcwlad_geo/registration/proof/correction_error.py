@@ -10,20 +10,21 @@ from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.proof_result import CorrectionEntry
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.solving import pseudo_inverse
-from pcwlad_geo.registration.fitting import AssessedFit
 from pcwlad_geo.registration.proof.sites import ProofSetup
-from pcwlad_geo.registration.result import Matches
+from pcwlad_geo.registration.result import Matches, Registration
 from pcwlad_geo.types import Bool, Float64
 
 
 def correction_error(
-    error: Float64, bias: Float64, setup: ProofSetup, matches: Matches, fit: AssessedFit, effort: Effort
+    error: Float64, bias: Float64, setup: ProofSetup, matches: Matches, fitted: Registration, effort: Effort
 ) -> CorrectionEntry | None:
     """Fit the model of the correction to the errors of each move, and return the error propagated into it.
 
     The (k, n, 2) `error` are those of the points, with the (2,) `bias` (col, row) of all, target px.
     """
-    table, name = matches.tie_points, fit.fitted.correction.name
+    if fitted.selection is None:
+        return None
+    table, name = matches.tie_points, fitted.selection.name
     everywhere = table.predicted_px[table.status == "matched"]
     footprint = matches.window_px * float(setup.unit_px[0])
     errors_px = []
@@ -33,10 +34,10 @@ def correction_error(
         predicted_px, covariance_px2 = table.predicted_px[rows], table.covariance_px2[rows]
         moved_px = predicted_px + errors[finite]
         try:
-            fitted = MODELS[name].fit(predicted_px, moved_px, covariance_px2, footprint_px=footprint)
+            fit = MODELS[name].fit(predicted_px, moved_px, covariance_px2, footprint_px=footprint)
         except InputError:  # the sample does not determine it
             return None
-        errors_px.append(fitted.correction.forward(everywhere) - everywhere - bias)
+        errors_px.append(fit.correction.forward(everywhere) - everywhere - bias)
     ratio = _full_to_sample_ratio(table.predicted_px[setup.rows], everywhere, footprint)
     propagated = np.concatenate(errors_px) * ratio + bias
     radial = radial_statistics(propagated[np.isfinite(propagated).all(axis=1)])

@@ -21,7 +21,6 @@ from pcwlad_geo.correction.error_statistics import float_pair, radial_statistics
 from pcwlad_geo.correction.proof_result import Proof
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.events import JobLog
-from pcwlad_geo.registration.fitting import AssessedFit
 from pcwlad_geo.registration.proof.classes import (
     class_entry,
     error_map,
@@ -38,12 +37,12 @@ from pcwlad_geo.registration.proof.resampling import moves_of, resampling_error_
 from pcwlad_geo.registration.proof.sensitivity import MOST_TRIALS, Register, sensitivity
 from pcwlad_geo.registration.proof.sites import set_up
 from pcwlad_geo.registration.proof.unobservable import unobservable_error
-from pcwlad_geo.registration.result import Matches
+from pcwlad_geo.registration.result import Matches, Registration
 
 
 def prove(
     matches: Matches,
-    fit: AssessedFit,
+    fitted: Registration,
     effort: Effort,
     log: JobLog,
     threads: int,
@@ -56,8 +55,8 @@ def prove(
 
     Parameters
     ----------
-    fit : AssessedFit
-        The correction of the pair, whose model is fitted to the errors.
+    fitted : Registration
+        The pair with its correction, whose model is fitted to the errors.
     effort : {"quick", "full"}
         Number of moves and of points.
     log : JobLog
@@ -110,7 +109,7 @@ def prove(
         texture=errors_by_texture(setup, ends[0], without_locking),
         windows=tuple(class_entry(f"{window_px} px", part) for window_px, part in windows),
         sigma=sigma_entry(error, setup.sigma_px * setup.unit_px, scatter_ratio),
-        correction=correction_error(error, bias, setup, matches, fit, effort),
+        correction=correction_error(error, bias, setup, matches, fitted, effort),
         unobservable=unobservable_error(setup, *ends),
         map=error_map(error, setup, matches),
         sensitivity=sensitivity(matches, register, log, len(moves), parameters) if full else None,
