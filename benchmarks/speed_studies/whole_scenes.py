@@ -69,11 +69,6 @@ class Run:
     inner_cpu_s: float = math.nan
     """AROSICS: CPU time of its library call."""
 
-    @property
-    def cpu_per_point_ms(self) -> float:
-        """CPU time a correct point."""
-        return self.cost.cpu_s * 1000 / self.score.correct if self.score else math.nan
-
 
 def jobs() -> int:
     """Return the number of processes of a run: two, where it may use two cores."""

@@ -20,8 +20,6 @@ X_NAMES: Final = ("x", "lon", "longitude")
 """Dimensions of a DataArray that are columns."""
 Y_NAMES: Final = ("y", "lat", "latitude")
 """Dimensions of a DataArray that are rows."""
-_STORED: Final[Mapping[str, str]] = {"bool": "uint8", "float16": "float32"}
-"""Data types that GDAL has none for, and what holds their values."""
 _WIDER: Final = ("uint8", "int8", "uint16", "int16")
 """Whole numbers that float32 holds exactly."""
 

@@ -30,7 +30,7 @@ STILL_INNER = {
         ChannelMaps InitialEstimate POINTER Refined WHOLE address function oriented_gradients
         spline_coefficients
 
-        CoarseMatches NOISE ORIENTATIONS keypoints match_coarsely maximum_moment measure_noise
+        NOISE ORIENTATIONS keypoints match_coarsely maximum_moment
         oriented_phase_congruency
     """,
     "registration": """
