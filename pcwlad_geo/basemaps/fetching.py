@@ -120,7 +120,7 @@ class Part:
         service = _service(name)
         parts = [_part(service, info, info.uri, settings)[:2] for info in infos]
         zoom = max(zoom for zoom, _ in parts)
-        corners = [np.array(_corners(window)) * 2.0 ** (zoom - own) for own, window in parts]
+        corners = [np.array(_corners(window)) * 2.0 ** (zoom - level) for level, window in parts]
         window = Window.around(np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1)))
         return cls(service, zoom, window, settings.ref_zoom is not None)
 
@@ -137,9 +137,9 @@ class Part:
     def fetch(self, path: Path, on_event: EventCallback) -> None:
         """Fetch it into a GeoTIFF; raises `InputError` if the service refuses, or half of it is missing."""
         service, zoom, window = self.service, self.zoom, self.window
-        known: dict[Tile, Pixels] = {}
+        pixels_of: dict[Tile, Pixels] = {}
         if not self.exact:
-            zoom, window = _existing(service, zoom, window, known)
+            zoom, window = _existing(service, zoom, window, pixels_of)
         tiles = _tiles(window, zoom, service.tile_px)
         if len(tiles) > LIMITS.basemap_tiles:
             raise InputError(
@@ -148,7 +148,7 @@ class Part:
                 "--extent"
             )
         on_event(Progress("fetching", 0, len(tiles)))
-        failures = _write(service, path, tiles, _fetched(service, tiles, known, on_event))
+        failures = _write(service, path, tiles, _fetched(service, tiles, pixels_of, on_event))
         if sum(failures.values()) > FETCHING.most_missing * len(tiles):
             said = ", ".join(f"{count} are {reason}" for reason, count in failures.most_common())
             raise InputError(
@@ -233,17 +233,19 @@ def _part(
     return zoom, window, settings
 
 
-def _existing(service: Service, zoom: int, window: Window, known: dict[Tile, Pixels]) -> tuple[int, Window]:
+def _existing(
+    service: Service, zoom: int, window: Window, pixels_of: dict[Tile, Pixels]
+) -> tuple[int, Window]:
     """Return the finest zoom, at most that, at which there is a tile in the middle of a window of it.
 
-    That tile is put among those that are `known`.
+    That tile is put into `pixels_of`.
     """
     for coarser in range(min(zoom, FETCHING.most_coarser) + 1):
         low, high = (np.array(corner) / 2**coarser for corner in _corners(window))
         part, middle = Window.around(low, high), ((low + high) / 2 // service.tile_px).astype(int)
         tile = Tile(zoom - coarser, int(middle[1]), int(middle[0]))
         try:
-            known[tile] = _tile(service, tile)
+            pixels_of[tile] = _tile(service, tile)
         except _MissingError as error:
             if "HTTP" in str(error):
                 continue
@@ -264,18 +266,18 @@ def _tiles(window: Window, zoom: int, side: int) -> list[Tile]:
 
 
 def _fetched(
-    service: Service, tiles: list[Tile], known: dict[Tile, Pixels], on_event: EventCallback
+    service: Service, tiles: list[Tile], pixels_of: dict[Tile, Pixels], on_event: EventCallback
 ) -> Iterator[tuple[Tile, Pixels | str]]:
     """Yield each tile with its pixels, or why there are none; a few threads fetch those that are not known.
 
     Raises `InputError` where the server refuses, or fails too often.
     """
-    yield from known.items()
+    yield from pixels_of.items()
     waiting: queue.SimpleQueue[Tile] = queue.SimpleQueue()
-    done: queue.SimpleQueue[tuple[Tile, Pixels | str | BaseException]] = queue.SimpleQueue()
+    answers: queue.SimpleQueue[tuple[Tile, Pixels | str | BaseException]] = queue.SimpleQueue()
     stop = threading.Event()
     for tile in tiles:
-        if tile not in known:
+        if tile not in pixels_of:
             waiting.put(tile)
 
     def work() -> None:
@@ -285,11 +287,11 @@ def _fetched(
             except queue.Empty:
                 return
             try:
-                done.put((tile, _tile(service, tile)))
+                answers.put((tile, _tile(service, tile)))
             except _MissingError as error:
-                done.put((tile, str(error)))
+                answers.put((tile, str(error)))
             except BaseException as error:  # raised in the thread that consumes the tiles
-                done.put((tile, error))
+                answers.put((tile, error))
 
     late = 0
 
@@ -299,9 +301,9 @@ def _fetched(
     try:
         for _ in range(min(FETCHING.threads, len(tiles))):
             threading.Thread(target=work, daemon=True).start()
-        for count in range(len(known), len(tiles)):
+        for count in range(len(pixels_of), len(tiles)):
             tell(count)
-            tile, pixels = _next(done, partial(tell, count))
+            tile, pixels = _next(answers, partial(tell, count))
             if isinstance(pixels, TimeoutError) and late < FETCHING.most_late:
                 late, pixels = late + 1, "not answered"
             if isinstance(pixels, _EndedError | TimeoutError):
@@ -314,11 +316,11 @@ def _fetched(
         stop.set()
 
 
-def _next(done: queue.SimpleQueue[T], look: Callable[[], None]) -> T:
+def _next(answers: queue.SimpleQueue[T], look: Callable[[], None]) -> T:
     """Return the next item of a queue; while waiting, let the run be cancelled."""
     while True:
         with suppress(queue.Empty):
-            return done.get(timeout=FETCHING.poll_s)
+            return answers.get(timeout=FETCHING.poll_s)
         look()
 
 

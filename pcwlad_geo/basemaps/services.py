@@ -42,13 +42,13 @@ def find_service(name: str, read: Callable[[str], bytes]) -> Service:
 
     Raises `InputError` if the name, or what the server says of itself, is not understood.
     """
-    kind, _, rest = name.partition(":")
+    kind, _, address = name.partition(":")
     if kind.lower() == "xyz":
-        return xyz(rest)
+        return xyz(address)
     if kind.lower() == "wms":
-        return _wms(rest)
+        return _wms(address)
     if kind.lower() == "wmts":
-        return wmts(rest, read)
+        return wmts(address, read)
     text = name if name.lstrip().startswith("<") else Path(name).read_text(encoding="utf-8", errors="replace")
     return _of_gdal(text, read)
 
@@ -74,14 +74,14 @@ def xyz(template: str, finest: int = LIMITS.basemap_zoom) -> Service:
 def _wms(address: str, tile_px: int = 512) -> Service:
     """Return the service of an address of GetMap, as GDAL names a layer: any part of it may be asked for."""
     base, _, query = address.partition("?")
-    given = {key.upper(): value for key, value in parse_qsl(query, keep_blank_values=True)}
-    version = given.get("VERSION", "1.1.1")
-    srs = given.get("CRS") or given.get("SRS") or "EPSG:3857"
-    if not given.get("LAYERS"):
+    parameters = {key.upper(): value for key, value in parse_qsl(query, keep_blank_values=True)}
+    version = parameters.get("VERSION", "1.1.1")
+    srs = parameters.get("CRS") or parameters.get("SRS") or "EPSG:3857"
+    if not parameters.get("LAYERS"):
         raise InputError(f"WMS:{base}: give LAYERS=… in it, as gdalinfo WMS:{base} lists them")
     try:
         crs = CRS.from_user_input(srs)
-        box = [float(part) for part in given["BBOX"].split(",")] if "BBOX" in given else None
+        box = [float(part) for part in parameters["BBOX"].split(",")] if "BBOX" in parameters else None
     except (*LIBRARY_ERRORS, ValueError) as error:
         raise InputError(f"WMS:{base}: its SRS or BBOX is not understood ({error})") from error
     reach = (-180.0, -180.0, 180.0, 180.0) if crs.is_geographic else (-WORLD_M / 2,) * 2 + (WORLD_M / 2,) * 2
@@ -97,7 +97,7 @@ def _wms(address: str, tile_px: int = 512) -> Service:
         "VERSION": version,
         "STYLES": "",
         "FORMAT": "image/png",
-        **{key: value for key, value in given.items() if key not in ("CRS", "SRS", "TRANSPARENT")},
+        **{key: value for key, value in parameters.items() if key not in ("CRS", "SRS", "TRANSPARENT")},
         ("CRS" if version.startswith("1.3") else "SRS"): srs,
         "TRANSPARENT": "TRUE",
         "WIDTH": str(tile_px),
@@ -111,7 +111,7 @@ def _wms(address: str, tile_px: int = 512) -> Service:
         box = [box[1], box[0], box[3], box[2]] if swapped else box
         return f"{base}?{urlencode(fixed | {'BBOX': ','.join(map(repr, box))}, safe=',:/')}"
 
-    return Service(f"{public_name(base)} ({given['LAYERS']})", grid, tile_px, LIMITS.basemap_zoom, url)
+    return Service(f"{public_name(base)} ({parameters['LAYERS']})", grid, tile_px, LIMITS.basemap_zoom, url)
 
 
 def _of_gdal(text: str, read: Callable[[str], bytes]) -> Service:

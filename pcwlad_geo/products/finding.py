@@ -52,8 +52,8 @@ _FOUND: Final[ContextVar[dict[str, Product | None] | None]] = ContextVar("found 
 @contextmanager
 def products_found_once() -> Iterator[None]:
     """Find the product of a path once within the context, which is that of a job."""
-    known = _FOUND.get()
-    token = _FOUND.set({} if known is None else known)
+    cache = _FOUND.get()
+    token = _FOUND.set({} if cache is None else cache)
     try:
         yield
     finally:
@@ -67,13 +67,13 @@ def find_product(path: PathLike) -> Product | None:
     (MTL, MTD_MSIL*.xml, manifest.safe …), or, where its kind says so, by one image. Raises `InputError` if
     the product cannot be used, or an archive holds none.
     """
-    known = _FOUND.get()
-    if known is None:
+    cache = _FOUND.get()
+    if cache is None:
         return _search(path)
     name = os.fspath(path)
-    if name not in known:
-        known[name] = _search(path)
-    return known[name]
+    if name not in cache:
+        cache[name] = _search(path)
+    return cache[name]
 
 
 def _search(path: PathLike) -> Product | None:

@@ -155,13 +155,13 @@ class Editor:
         while len(rows) > self.parameters.fewest:
             left_out_px = _left_out_px(self.table.predicted_px[rows], self.table.target_px[rows])
             worst = int(left_out_px.argmax())
-            rest = np.delete(rows, worst)
-            others_px = _left_out_px(self.table.predicted_px[rest], self.table.target_px[rest])
+            remaining = np.delete(rows, worst)
+            others_px = _left_out_px(self.table.predicted_px[remaining], self.table.target_px[remaining])
             likely_px = self.parameters.wrong_factor * float(np.median(others_px))
             if left_out_px[worst] < max(self.parameters.wrong_px, likely_px):
                 break
             wrong.append(int(rows[worst]))
-            rows = rest
+            rows = remaining
         return sorted(wrong)
 
     def _add(

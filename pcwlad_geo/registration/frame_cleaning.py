@@ -156,8 +156,8 @@ def _unmarked(values: Float32, marks: Bool, parameters: CleaningParameters) -> F
     holes = cv2.morphologyEx(marks.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     wide = marks & (cv2.dilate(holes, np.ones((side, side), np.uint8)) > 0)
     if wide.any():
-        known = np.where(invalid, np.nanmedian(values), values)
-        values = np.where(invalid, np.float32(np.nan), filled(known, marks, parameters.specks))
+        whole = np.where(invalid, np.nanmedian(values), values)
+        values = np.where(invalid, np.float32(np.nan), filled(whole, marks, parameters.specks))
     return np.where(marks & ~wide, np.float32(np.nan), values)
 
 
@@ -237,11 +237,11 @@ def _profile(
         return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(part), size, parameters.smooth_px))
 
     weight = valid.astype(np.float32)
-    known = values * weight
-    beside = (values - blurred(known) / np.maximum(blurred(weight), 1e-3)) * weight
-    limit = parameters.outlying * float(np.abs(beside).sum() / max(weight.sum(), 1))
+    weighted = values * weight
+    difference = (values - blurred(weighted) / np.maximum(blurred(weight), 1e-3)) * weight
+    limit = parameters.outlying * float(np.abs(difference).sum() / max(weight.sum(), 1))
     count = weight.sum(axis=0)
-    profile = np.clip(beside, -limit, limit).sum(axis=0, dtype=np.float64) / np.maximum(count, 1)
+    profile = np.clip(difference, -limit, limit).sum(axis=0, dtype=np.float64) / np.maximum(count, 1)
     return np.where(count > parameters.least_valid * len(valid), profile, 0.0)
 
 

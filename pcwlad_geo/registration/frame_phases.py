@@ -100,8 +100,8 @@ def flattened(values: Float32, valid: Bool) -> Float32:
     """
     if not valid.any():
         return np.zeros_like(values)
-    known = values if valid.all() else filled(values, ~valid, SpeckParameters())
-    flat = known - cv2.GaussianBlur(known, (0, 0), 12)
+    whole = values if valid.all() else filled(values, ~valid, SpeckParameters())
+    flat = whole - cv2.GaussianBlur(whole, (0, 0), 12)
     flat -= np.median(flat, axis=0)
     flat -= np.median(flat, axis=1)[:, None]
     return np.asarray(np.clip(flat / max(float(flat.std()), 1e-9), -4, 4), np.float32)

@@ -112,13 +112,13 @@ def _ground_beside_pattern(frames: Frames, parameters: PatternParameters) -> Flo
     if ground_px is None or np.abs(ground_px).max() < parameters.least_px:
         return None
     fine = inner(shape) & (radius > 1 / parameters.finest_px) & (radius <= 0.5)
-    at_ground = np.exp(2j * np.pi * (col * ground_px[0] + row * ground_px[1]))
+    to_ground = np.exp(2j * np.pi * (col * ground_px[0] + row * ground_px[1]))
     chance = np.sqrt(np.count_nonzero(fine) / 2)
-    at_none, there = (
+    at_none, at_ground = (
         abs(float(crossed[fine].real.sum())) / chance
-        for crossed in (phases.crossed, phases.crossed * at_ground)
+        for crossed in (phases.crossed, phases.crossed * to_ground)
     )
-    return ground_px if at_none > max(parameters.pattern_z, parameters.pattern_ratio * there) else None
+    return ground_px if at_none > max(parameters.pattern_z, parameters.pattern_ratio * at_ground) else None
 
 
 def _peak_px(phases: Phases, parameters: PatternParameters) -> Float64 | None:

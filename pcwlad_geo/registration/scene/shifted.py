@@ -60,8 +60,10 @@ def match_again_on_bent_map(
     latest = _matched(placed_pair, context)
     if not latest.decision.accepted:
         return scene, pair
-    again = replace(latest, prealignment=scene.prealignment, decision=scene.decision, motions=scene.motions)
-    return again, placed_pair
+    rematched = replace(
+        latest, prealignment=scene.prealignment, decision=scene.decision, motions=scene.motions
+    )
+    return rematched, placed_pair
 
 
 def _matched(pair: ViewPair, context: SceneContext) -> SceneMatches:

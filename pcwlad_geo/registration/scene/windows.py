@@ -112,15 +112,15 @@ def choose_windows(
     (col, row) is a displacement beside their own of which the share of the points is wanted.
     """
     window = first.jobs[0].settings.window
-    wanted = sample_size(points.reference_xy_px, window)
-    if not wanted:
+    least_points = sample_size(points.reference_xy_px, window)
+    if not least_points:
         return WindowChoice(Scales.of(window.side_px))
     tiles, counts = np.unique(tile_of, return_counts=True)
     # multiples of the golden ratio are spread evenly, however many are taken
     spread = np.argsort((5**0.5 - 1) / 2 * np.arange(len(tiles)) % 1, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(counts[spread]), wanted)) + 1
+    enough = int(np.searchsorted(np.cumsum(counts[spread]), least_points)) + 1
     selection = np.sort(spread[:enough])
-    step = max(1, int(counts[selection].sum() / wanted))
+    step = max(1, int(counts[selection].sum() / least_points))
     members = [np.flatnonzero(tile_of == tile) for tile in tiles[selection]]
     on_event = partial(only_warnings, context.log.on_event)  # the progress is no stage's own
 
