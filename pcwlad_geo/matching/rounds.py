@@ -60,8 +60,9 @@ def in_rounds(settings: MatchSettings, area_px2: float) -> MatchSettings:
 
 
 def suffice(points: TiePoints, is_consistent: Bool, candidates: int) -> bool:
-    """Return whether the first candidates, of which (n,) `points` are consistent, need no others.
+    """Return whether the first candidates, of which (n,) `points` were matched, need no others.
 
+    The (n,) mask `is_consistent` has those points that agree with their neighbours.
     They do not where most of them agree, in numbers that tell the window and the model of the correction, a
     smooth surface holds their displacements, and the rest agrees on nothing else. A flexible model follows
     sparse points of ground with relief, and only dense ones tell how far it departs from them.
