@@ -66,7 +66,9 @@ def _box_in(place: str) -> Check:
     )
 
 
-FILE_OPTIONS = ("ref_mask", "tgt_mask", "aoi", "exclude", "tie_points", "dem", "dem_vertical", "like")
+FILE_OPTIONS = (
+    *("ref_mask", "tgt_mask", "aoi", "exclude", "tie_points", "dem", "dem_vertical", "fiducials", "like"),
+)
 """Options whose value is, or may be, a file."""
 OUTPUT_OPTIONS = ("output_raster", "output_tiepoints", "output_report", "output_points")
 """Options with paths of single outputs; `match` has no raster."""
@@ -232,6 +234,13 @@ class Settings:
     )
     """Metres from the ellipsoid up to what the DEM's heights are above (0: the ellipsoid), or a file of them;
     None = the DEM's CRS tells."""
+    fiducials: Path | str | None = option(
+        None,
+        "Marks or corners of a scanned photograph (CSV: col, row, x_mm, y_mm, focal_mm): its camera is"
+        " written as an RPC by the tie points and --dem.",
+        _WRITING,
+        metavar="FILE",
+    )
     trust_rpc: bool = option(False, "Use RPCs although they put an image in an implausible place.", _PLACING)
     method: Method = option("oriented", "Fine matching method.", _MATCHING)
     points: int | Literal["all", "dense"] | None = option(
@@ -526,6 +535,8 @@ def _check_together(settings: Settings) -> None:
         raise SettingsError("pdf and no_report contradict each other: the PDF is made from the page")
     if settings.dem_vertical is not None and settings.dem is None:
         raise SettingsError(f"dem_vertical = {settings.dem_vertical!r} without a DEM: give --dem too")
+    if settings.fiducials is not None and settings.dem is None:
+        raise SettingsError("fiducials give a camera its pose by heights of the ground: give --dem too")
     if settings.write_placed and settings.place is None:
         raise SettingsError("write_placed writes where place puts the target: give --place too")
     if settings.iiif_source is not None and not settings.write_iiif:
@@ -590,6 +601,7 @@ class PairOptions(TypedDict, total=False):
     ref_zoom: int | None
     dem: Path | str | None
     dem_vertical: float | Path | str | None
+    fiducials: Path | str | None
     trust_rpc: bool
     method: Method
     points: int | Literal["all", "dense"] | None

@@ -17,8 +17,9 @@ from pcwlad_geo.outputs.geometric_accuracy import GeometricAccuracy
 from pcwlad_geo.outputs.map_raster import write_sigma
 from pcwlad_geo.outputs.pair_item import write_item
 from pcwlad_geo.outputs.proj_grid import write_proj_grid
-from pcwlad_geo.raster import Grid, OutputFormat, RpcModel, vrt
+from pcwlad_geo.raster import WGS84, Grid, OutputFormat, RpcModel, transform_xy, vrt
 from pcwlad_geo.raster.rpc.files import to_gdal, write_rpc_text
+from pcwlad_geo.raster.rpc.frame_camera import FrameCamera
 from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.tiepoints.csv_file import write_csv
 from pcwlad_geo.tiepoints.format import PointRasters, TiePointFormat
@@ -115,6 +116,26 @@ def _rpc(job: Writing, path: Path) -> None:
     vrt.write_rpc_vrt(path, job.registration.target.uri, rpc, final_path=job.places["rpc"])
 
 
+def _camera_rpc(registration: Registration) -> RpcModel:
+    """Return the camera of a photograph with fiducials as an RPC."""
+    settings, points = registration.settings, registration.tie_points
+    if settings.fiducials is None or settings.dem is None:
+        raise TypeError("there are no fiducials and heights")
+    points = points.select("matched", "fit", "check", "unused")
+    lon_lat = transform_xy(points.xy, registration.reference.grid.crs, WGS84)
+    camera, shape = FrameCamera.of_file(settings.fiducials), registration.target.grid.shape
+    return camera.rpc(points.target_px, lon_lat, shape, settings.dem, settings.dem_vertical)
+
+
+def _camera(job: Writing, path: Path) -> None:
+    rpc = to_gdal(_camera_rpc(job.registration))
+    vrt.write_rpc_vrt(path, job.registration.target.uri, rpc, final_path=job.places["camera"])
+
+
+def _camera_text(job: Writing, path: Path) -> None:
+    write_rpc_text(_camera_rpc(job.registration), path)
+
+
 def _raster(job: Writing, path: Path) -> None:
     """Write the registered raster, orthorectified where the target has RPCs."""
     registration, grid = job.registration, job.grid
@@ -199,6 +220,10 @@ _FETCHED: Final = Condition(
 _TILES: Final = Condition(
     "tiles as reference", lambda job: job.fetched is not None and job.fetched.uri.endswith(".vrt")
 )
+_CAMERA: Final = Condition(
+    "with `--fiducials`, unless refused",
+    lambda job: job.settings.fiducials is not None and job.status != "rejected",
+)
 _RPC: Final = Condition("a target with RPCs", _has_exact_rpc, corrected=True)
 _SIGMA: Final = Condition("with `--write-sigma`", lambda job: job.settings.write_sigma, corrected=True)
 _FIELD: Final = Condition(
@@ -237,6 +262,8 @@ OUTPUTS: Final = (
     Output("basemap", "basemap.tif", _FETCHED, "what was fetched of a web map"),
     Output("tiles", "reference.vrt", _TILES, "the tiles of the reference that show ground of the target"),
     Output("placed", "{stem}_placed.vrt", _IF_PLACED, "the target as `--place` puts it", _placed),
+    Output("camera", "{stem}_camera.vrt", _CAMERA, "the photograph with its camera as an RPC", _camera),
+    Output("camera_text", "{stem}_camera_RPC.TXT", _CAMERA, "the camera as an RPC", _camera_text),
     Output("rpc", "{stem}_rpc.vrt", _RPC, "the original target with the corrected RPC", _rpc),
     Output("rpc_text", "{stem}_rpc_RPC.TXT", _RPC, "the corrected RPC as text", _rpc_text),
     Output(

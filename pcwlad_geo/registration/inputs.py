@@ -143,7 +143,7 @@ def identify_inputs(inputs: Inputs) -> tuple[InputFile, ...]:
     return tuple(
         InputFile(role, identity)
         for role, uri in read
-        for identity in identify(uri, raster=role not in ("tie_points", "aoi", "exclude"))
+        for identity in identify(uri, raster=role not in ("tie_points", "aoi", "exclude", "fiducials"))
     )
 
 

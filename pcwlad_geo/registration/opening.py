@@ -15,6 +15,7 @@ from pcwlad_geo.raster.compression import with_compression_blocks
 from pcwlad_geo.raster.fill import without_shared_fill
 from pcwlad_geo.raster.identity import digest
 from pcwlad_geo.raster.matching_grid import ONLY_PIXELS, limited, limited_to_overlap
+from pcwlad_geo.raster.rpc.frame_camera import FrameCamera
 from pcwlad_geo.raster.rpc.planning import plan_rpc_views
 from pcwlad_geo.raster.source import same_band, with_areas
 from pcwlad_geo.raster.undeclared import without_undeclared
@@ -63,6 +64,8 @@ def prepare_inputs(
     """
     log, settings = JobLog(on_event), inputs.settings
     with log.stage("reading"):
+        if settings.fiducials is not None:
+            FrameCamera.of_file(settings.fiducials)  # before the work
         files = identify_inputs(inputs)  # before any of them is read
         content = digest(file.identity for file in files)
         ref, ref_said, ref_pixels = _described(inputs.reference, inputs.ref_bands, settings.ref_mask, content)

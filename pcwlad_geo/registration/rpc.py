@@ -147,7 +147,8 @@ def place_target(
         )
     source = read_rpc(target.uri)
     if source is None:
-        for_reference = isinstance(reference.grid, RpcGrid) and settings.model != "rpc"
+        for_others = isinstance(reference.grid, RpcGrid) or settings.fiducials is not None
+        for_reference = for_others and settings.model != "rpc"
         if is_wanted and not for_reference:
             raise InputError(
                 f"{target.uri} has no RPC (tag, .RPB or _RPC.TXT beside it), which --dem and --model rpc are "

@@ -16,7 +16,7 @@ from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.raster import Grid
 from pcwlad_geo.raster.crs import moved_xy
-from pcwlad_geo.raster.vectors import SQLITE_HEAD, sqlite_file
+from pcwlad_geo.raster.vectors import sqlite_file
 from pcwlad_geo.tiepoints.cells import Table
 from pcwlad_geo.tiepoints.csv_file import points_of
 from pcwlad_geo.tiepoints.format import PointFile, PointSource, TiePointFormat
@@ -154,5 +154,8 @@ def _read(source: PointSource) -> PointFile:
     return points_of(Table(path, POINT_COLUMNS, rows))
 
 
-GEOPACKAGE: Final = TiePointFormat("geopackage", lambda source: source.head.startswith(SQLITE_HEAD), _read)
+_HEAD: Final = b"SQLite format 3\0"
+GEOPACKAGE: Final = TiePointFormat(
+    "geopackage", lambda source: source.head.startswith(b"SQLite format 3\0"), _read
+)
 """The format of tiepoints.gpkg, which a job writes with its report."""

@@ -42,9 +42,9 @@ STILL_INNER = {
         plan read_overviews set_up
     """,
     "raster": """
-        BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera GDAL_ERRORS HDF4_FILES LIBRARY_ERRORS
-        SWATH_FILES MATCHING_GRIDS MM_PER_UNIT ONLY_PIXELS OUTPUT_GRIDS PLACEMENT Raster RasterLike
-        SQLITE_HEAD Scratch TERMS TiltedGrid Undulation VectorLayer Vertical accepted apply apply_bias
+        BIAS_TOLERANCE_PX BLOCK_PX BandPart BandPixels Camera FrameCamera GDAL_ERRORS HDF4_FILES
+        LIBRARY_ERRORS SWATH_FILES MATCHING_GRIDS MM_PER_UNIT ONLY_PIXELS OUTPUT_GRIDS PLACEMENT
+        Raster RasterLike Scratch TERMS TiltedGrid Undulation VectorLayer Vertical accepted apply apply_bias
         bands_of
         bias_error_px camera_of carried check_covered check_dataset check_format checked_vector
         corrected_outline corrected_transform covered_range current_trust derived_terms digest
