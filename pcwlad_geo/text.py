@@ -11,14 +11,17 @@ import os
 import re
 import stat
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.limits import LIMITS
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 T = TypeVar("T")
 
@@ -142,9 +145,7 @@ def mismatch(value: object, kind: type) -> str | None:
         text = json.dumps(value, ensure_ascii=False).encode("utf-8", "replace")  # names may be no text
         _adapter(kind).validate_json(text, strict=True)
     except ValidationError as error:
-        for wrong in error.errors(include_url=False, include_input=False, include_context=False):
-            if wrong["type"] != "missing" or isinstance(wrong["loc"][-1], int):
-                return f"{'.'.join(map(str, wrong['loc']))}: {wrong['msg']}"
+        return next((reason for reason, is_missing in _reasons(error) if not is_missing), None)
     return None
 
 
@@ -154,10 +155,23 @@ def typed(value: object, kind: type[T], written: type | None = None) -> T:
     Raises `ValueError` if the value is not of that type, or has what the type that it was `written` as does
     not allow (see `mismatch`).
     """
+    from pydantic import ValidationError
+
     if written is not None and (wrong := mismatch(value, written)) is not None:
         raise ValueError(wrong)
-    result: T = _adapter(cast(type, kind)).validate_python(value)
+    try:
+        result: T = _adapter(cast(type, kind)).validate_python(value)
+    except ValidationError as error:
+        raise ValueError(next(reason for reason, _ in _reasons(error))) from error
     return result
+
+
+def _reasons(error: ValidationError) -> Iterator[tuple[str, bool]]:
+    """Yield what is wrong with each value, and whether it is only a key that is missing."""
+    for wrong in error.errors(include_url=False, include_input=False, include_context=False):
+        place = wrong["loc"]
+        is_missing = wrong["type"] == "missing" and not isinstance(place[-1], int)
+        yield f"{'.'.join(map(str, place))}: {wrong['msg']}".removeprefix(": "), is_missing
 
 
 @lru_cache(maxsize=16)
