@@ -51,7 +51,7 @@ class Hdf4File:
         Raises `ValueError` if it has none, or more than can be read.
         """
         *planes, rows, cols = self.shapes[name]
-        if len(planes) > 1 or rows * cols > LIMITS.file_px:
+        if len(planes) > 1 or not 0 < rows * cols <= LIMITS.checked_px:
             raise ValueError(f"{name} has the shape {self.shapes[name]}")
         start, count = ([number] * len(planes), [1] * len(planes))
         values = self._opened.select(self._numbers[name]).get(
@@ -100,8 +100,13 @@ class Labels:
 
 
 def write_planes(path: Path, planes: Iterator[NDArray[Any]], count: int, labels: Labels) -> None:
-    """Write (rows, cols) `planes` as the bands of a GeoTIFF; raise `OutputError` if that is impossible."""
-    first = next(planes)
+    """Write (rows, cols) `planes` as the bands of a GeoTIFF.
+
+    Raises `OutputError` if that is impossible, and `ValueError` if there is none.
+    """
+    first = next(planes, None)
+    if first is None:
+        raise ValueError("an array of it has no bands")
     rows, cols = first.shape
     profile = {"driver": "GTiff", "height": rows, "width": cols, "count": count, "dtype": first.dtype.name}
     profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "interleave": "band", "sparse_ok": False}

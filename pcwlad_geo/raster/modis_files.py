@@ -122,15 +122,16 @@ def _places(file: Hdf4File) -> Float64:
 def _between(places: Float64, shape: tuple[int, int]) -> Float64:
     """Return the (2, rows, cols) places of all pixels by those of some, each scan by its own alone."""
     (first, last), scan_rows = MODIS_FILES.sampled_rows, MODIS_FILES.scan_rows
-    if places.shape[1] * scan_rows != 2 * shape[0]:
-        raise ValueError(f"{shape[0]} rows have places in {places.shape[1]}")
+    gap = last - first
+    if places.shape[1] * scan_rows != 2 * shape[0] or abs(places.shape[2] * gap - shape[1]) > gap:
+        raise ValueError(f"{shape} pixels have places at {places.shape[1:]}")
     places = np.where(np.abs(places) <= [[[360.0]], [[90.0]]], places, np.nan)
     lon, lat = np.radians(places)
     away = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     upper, lower = away[:, ::2, None], away[:, 1::2, None]
-    down = (np.arange(scan_rows) - first)[:, None] / (last - first)
+    down = (np.arange(scan_rows) - first)[:, None] / gap
     away = (upper + down * (lower - upper)).reshape(3, shape[0], -1)
-    col = (np.arange(shape[1]) - MODIS_FILES.first_col) / (last - first)
+    col = (np.arange(shape[1]) - MODIS_FILES.first_col) / gap
     left = np.clip(np.floor(col), 0, places.shape[2] - 2).astype(np.intp)
     x, y, z = away[:, :, left] + (col - left) * (away[:, :, left + 1] - away[:, :, left])
     return np.degrees([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
