@@ -97,7 +97,7 @@ def _unread_in(name: str) -> list[tuple[FileTree, str]]:
     """Return the files of a product that are not read where they lie: of HDF4, and of HDF5 in archives."""
     path = Path(_split(name)[0])
     try:
-        if path.name.endswith(_HDF4):
+        if HDF4_FILES.has_images([path.name]):
             tree = beside(path)
             return [(tree, member) for member in HDF4_FILES.granule_of(path.name, tree.names)]
         if is_folder(path):

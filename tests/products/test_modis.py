@@ -159,6 +159,8 @@ def test_bands_are_compared_and_images_stacked(modis: Path, tmp_path: Path) -> N
 def test_what_is_missing_or_damaged_is_told(modis: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"MOD021KM.* is HDF4, which register.* read"):
         find_product(modis / IMAGE)
+    with pytest.raises(InputError, match=r"MOD03.* holds no image: give one of its folder, MOD021KM"):
+        find_product(modis / PLACES)
     shutil.copy(modis / PLACES, tmp_path)
     with pytest.raises(InputError, match=r"parts of a granule of MODIS without its images: add MOD021KM"):
         pcwlad_geo.register(reference(tmp_path.parent), tmp_path, tgt_band="B31", out_dir=tmp_path / "out")
