@@ -258,7 +258,7 @@ def leave(dock: Any) -> Iterator[int]:
     seen["compare_after_leaving"] = [
         dock.blink_button.isChecked(),
         dock.swipe_button.isChecked(),
-        dock.compare_page.isEnabled(),
+        dock.compare_box.isEnabled(),
     ]
     dock.tabs.setCurrentIndex(1)
     yield 500

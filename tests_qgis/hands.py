@@ -53,6 +53,7 @@ def click(button: QWidget) -> None:
 def shown(dock: Any) -> dict[str, bool]:
     """Return which parts of the dock can be seen and used."""
     names = ("run_box", "verdict_area", "apply_box", "given_button", "trust_button", "engine_box", "next_box")
+    names += ("place_button",)
     return {name: getattr(dock, name).isVisible() for name in names}
 
 
@@ -76,6 +77,7 @@ def first_look(plugin: Any) -> Iterator[int]:
     for page, text in enumerate(texts):
         dock.tabs.setTabText(page, text)
     seen["without points"] = dock.no_points_label.isVisibleTo(dock.points_page)
+    seen["empty page"] = [dock.compare_label.isEnabled(), dock.swipe_button.isEnabled()]
     seen["toolbar"] = [bar.objectName() for bar in plugin.action.associatedWidgets() if bar.isVisible()]
     grab(iface.mainWindow(), "no_engine_1024")
     os.environ.update(PCWLAD_GEO_PYTHON=engine, PATH=path)
@@ -241,6 +243,11 @@ def unplaced(dock: Any) -> Iterator[int]:
     yield 500
     picked = editor.points.points[editor.selected()[0]].target_px
     seen["picked in the photo"] = math.dist(picked, editor.points.points[7].target_px)
+    table = editor.table.geometry()
+    editor.start_adding()  # which tells more than a line
+    yield 300
+    seen["the table stays"] = editor.table.geometry() == table
+    editor.rest()
     grab(iface.mainWindow(), "photo_points")
     canvas.setExtent(QgsRectangle.fromCenterAndSize(QgsPointXY(point.x, point.y), 1500, 1500))
     canvas.refresh()

@@ -100,6 +100,7 @@ def test_the_dock_is_as_wide_as_its_forms_and_no_wider_than_a_small_screen(seen:
 def test_all_pages_are_in_sight_and_empty_ones_say_what_to_do(seen: dict[str, Any]) -> None:
     assert seen["tabs in sight"] == [True] * 4
     assert seen["selected"] == []
+    assert seen["empty page"] == [True, False]  # what to do is not grey
     assert [seen["without points"], seen["with points"], seen["without points again"]] == [True, False, True]
 
 
@@ -128,7 +129,7 @@ def test_after_a_refusal_no_earlier_correction_is_offered_but_points_of_a_file(s
     text, parts = seen["refused"]
     assert "The pair was refused, and nothing was corrected:</b>" in text
     assert parts["apply_box"] is False
-    assert parts["given_button"] is True
+    assert (parts["given_button"], parts["place_button"]) == (True, True)
     assert "The layers fit" in seen["by points"]
 
 
@@ -138,6 +139,7 @@ def test_a_target_without_a_place_is_shown_in_its_own_frame_with_its_points(seen
     assert seen["photo"][0] is True
     assert 40 < seen["photo"][1] < 700
     assert seen["picked in the photo"] < 6
+    assert seen["the table stays"] is True
     assert seen["followed"] < 3
     count, off_px, told = seen["added"]
     assert count == 1, told

@@ -76,7 +76,8 @@ class PlainAlgorithm(core.QgsProcessingAlgorithm):
         return self.GROUP.lower()
 
     def shortHelpString(self) -> str:
-        return tr(self.HELP)
+        # QGIS draws <b> nearly black, on dark windows too
+        return re.sub(r"<(/?)b>", r"<\1strong>", tr(self.HELP))
 
     def helpUrl(self) -> str:
         return help_page(re.sub(r"\W+", "-", self.TITLE.lower()))

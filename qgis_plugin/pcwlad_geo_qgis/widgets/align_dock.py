@@ -381,7 +381,7 @@ class AlignDock(gui.QgsDockWidget):
         warnings = [f"⚠ {each}" for each in results["WARNINGS"]]
         self.footer.tell(verdict, paths["report"], results["QUALITY"], [results["FACTS"], *warnings])
         self._open_editor()
-        self.compare_page.setEnabled({"before", "after"} <= set(self.layers))
+        self.compare_box.setEnabled({"before", "after"} <= set(self.layers))
         self.apply_title.setText(tr("Correct as “{}”:").format(target.name()))
         self.apply_box.show()
         self._bridge.setCanvasLayers()
@@ -451,7 +451,7 @@ class AlignDock(gui.QgsDockWidget):
             self.views.stop()
         if gone & {"before", "after"}:
             self._stop_comparing()
-            self.compare_page.setEnabled(False)
+            self.compare_box.setEnabled(False)
 
     def _clear(self) -> None:
         """Let go of a project that is left: nothing of its work belongs into the next one."""
