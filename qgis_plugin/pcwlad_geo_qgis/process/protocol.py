@@ -141,7 +141,7 @@ def run_engine(
     except OSError as error:
         raise RunError(tr("The engine does not start: {}").format(error)) from error
     kind, refused = said.last.get("event"), report_in(said.last.get("message", ""))
-    if arguments[0] in PAIRS:
+    if arguments and arguments[0] in PAIRS:
         for path in [refused, *said.last.get("paths", {}).values()]:
             if str(path).endswith(".html"):
                 translate(folder / path)
