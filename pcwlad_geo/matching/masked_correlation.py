@@ -150,8 +150,6 @@ def correlation_at(reference: Channels, target: Channels, shift_xy: tuple[int, i
     )
     mean, other = (values.sum(axis=0, dtype=np.float64) / count for values in (first, second))
     covariance = np.vdot(first, second) - count * (mean @ other)
-    norm = np.sqrt(
-        max((np.vdot(first, first) - count * (mean @ mean)), 0.0)
-        * max((np.vdot(second, second) - count * (other @ other)), 0.0)
-    )
+    squares = np.vdot(first, first) - count * (mean @ mean), np.vdot(second, second) - count * (other @ other)
+    norm = np.sqrt(max(squares[0], 0.0) * max(squares[1], 0.0))
     return float(covariance / norm) if norm > 0 else 0.0

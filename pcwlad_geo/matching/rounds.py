@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.estimation.surfaces import surface_terms
 from pcwlad_geo.matching.types import TRAITS, MatchSettings, TiePoints
-from pcwlad_geo.types import Bool
+from pcwlad_geo.types import Bool, Float64
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +62,9 @@ def suffice(points: TiePoints, is_consistent: Bool, candidates: int) -> bool:
     """Return whether the first candidates, of which (n,) `points` were matched, need no others.
 
     The (n,) mask `is_consistent` has those points that agree with their neighbours.
-    They do not where most of them agree, in numbers that tell the window and the model of the correction, a
-    smooth surface holds their displacements, and the rest agrees on nothing else. A flexible model follows
+
+    They need none where most of them agree, in numbers that tell the window and the model of the correction,
+    a smooth surface holds their displacements, and the rest agrees on nothing else. A flexible model follows
     sparse points of ground with relief, and only dense ones tell how far it departs from them.
     """
     agreeing = points[is_consistent]
@@ -75,13 +75,11 @@ def suffice(points: TiePoints, is_consistent: Bool, candidates: int) -> bool:
     values_px = agreeing.displacement_px
     residual_px = values_px - design @ least_squares(design, values_px)
     is_smooth = float(np.percentile(np.hypot(*residual_px.T), 68)) <= ROUNDS.bent_px
-    return is_smooth and not _stray_together(agreeing, points[~is_consistent])
+    return is_smooth and not _stray_together(points.offsets_px(is_consistent))
 
 
-def _stray_together(agreeing: TiePoints, others: TiePoints) -> bool:
-    """Return whether most of the others lie at the same displacement from their neighbours that agree."""
-    nearest = cKDTree(agreeing.reference_xy_px).query(others.reference_xy_px)[1]
-    offset_px = others.displacement_px - agreeing.displacement_px[nearest]
+def _stray_together(offset_px: Float64) -> bool:
+    """Return whether most points with (k, 2) offsets from their neighbours lie off by the same."""
     offset_px = offset_px[np.hypot(*offset_px.T) > ROUNDS.stray_px]
     if len(offset_px) < ROUNDS.strays:
         return False

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pcwlad_geo.errors import SettingsError
 from pcwlad_geo.matching.methods import AUTO_FEATURES, Consensus, Keypoints, Method
@@ -155,6 +156,15 @@ class TiePoints(Shown):
     def sigma_px(self) -> Float64:
         """(n, 2) standard deviation per axis (col, row)."""
         return np.sqrt(np.diagonal(self.covariance_px2, axis1=1, axis2=2))
+
+    def offsets_px(self, is_consistent: Bool) -> Float64:
+        """Return how far the others lie off the nearest points that are consistent, (k, 2) (col, row).
+
+        The (n,) mask `is_consistent` is of all points, and has at least one of them.
+        """
+        agreeing, others = self[is_consistent], self[~is_consistent]
+        nearest = cKDTree(agreeing.reference_xy_px).query(others.reference_xy_px)[1]
+        return np.asarray(others.displacement_px - agreeing.displacement_px[nearest])
 
     def __getitem__(self, index: Bool | Index | slice) -> TiePoints:
         return TiePoints(*(getattr(self, field.name)[index] for field in fields(self)))

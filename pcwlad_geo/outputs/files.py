@@ -82,7 +82,7 @@ class Output(NamedTuple):
     description: str
     """What it holds, for the reader."""
     write: Callable[[Writing, Path], None] | None = None
-    """Writes it to a path; None for the reports, which come last."""
+    """Writes it to a path; None where another one writes it too, and for the reports, which come last."""
 
     def is_of(self, registration: Registration) -> bool:
         """Whether a finished job has it."""
@@ -128,12 +128,10 @@ def _camera_rpc(registration: Registration) -> RpcModel:
 
 
 def _camera(job: Writing, path: Path) -> None:
-    rpc = to_gdal(_camera_rpc(job.registration))
-    vrt.write_rpc_vrt(path, job.registration.target.uri, rpc, final_path=job.places["camera"])
-
-
-def _camera_text(job: Writing, path: Path) -> None:
-    write_rpc_text(_camera_rpc(job.registration), path)
+    """Write the camera with the photograph, and as text: its pose is found once for both."""
+    rpc, uri = _camera_rpc(job.registration), job.registration.target.uri
+    vrt.write_rpc_vrt(path, uri, to_gdal(rpc), final_path=job.places["camera"])
+    write_rpc_text(rpc, job.staged["camera_text"])
 
 
 def _raster(job: Writing, path: Path) -> None:
@@ -263,7 +261,7 @@ OUTPUTS: Final = (
     Output("tiles", "reference.vrt", _TILES, "the tiles of the reference that show ground of the target"),
     Output("placed", "{stem}_placed.vrt", _IF_PLACED, "the target as `--place` puts it", _placed),
     Output("camera", "{stem}_camera.vrt", _CAMERA, "the photograph with its camera as an RPC", _camera),
-    Output("camera_text", "{stem}_camera_RPC.TXT", _CAMERA, "the camera as an RPC", _camera_text),
+    Output("camera_text", "{stem}_camera_RPC.TXT", _CAMERA, "the camera as an RPC"),
     Output("rpc", "{stem}_rpc.vrt", _RPC, "the original target with the corrected RPC", _rpc),
     Output("rpc_text", "{stem}_rpc_RPC.TXT", _RPC, "the corrected RPC as text", _rpc_text),
     Output(

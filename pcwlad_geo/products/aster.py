@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.kind import ProductKind
 from pcwlad_geo.products.product import Product, ProductBand
 from pcwlad_geo.raster import FileTree
@@ -24,10 +23,7 @@ def _find(tree: FileTree) -> Product | None:
 
 def _of_file(path: Path) -> Product | None:
     if _ASTER.hdf4.fullmatch(path.name):
-        raise InputError(
-            f"{path} is HDF4, which register, match, prove, qa, stack and batch read: they write GeoTIFFs of "
-            "it beside their results"
-        )
+        raise HDF4_FILES.unread(path)
     if not _ASTER.raster.fullmatch(path.name):
         return None
     return replace(_product(FileTree(path.parent, (path.name,)), [path.name], str(path)), of_one_file=True)

@@ -26,10 +26,7 @@ def _of_file(path: Path) -> Product | None:
     if _MODIS.hdf4.fullmatch(path.name) and not _MODIS.has_images([path.name]):
         raise InputError(f"{path} holds no image: give one of its folder, {_MODIS.example}")
     if _MODIS.hdf4.fullmatch(path.name):
-        raise InputError(
-            f"{path} is HDF4, which register, match, prove, qa, stack and batch read: they write GeoTIFFs of "
-            "it beside their results"
-        )
+        raise HDF4_FILES.unread(path)
     if not _MODIS.raster.fullmatch(path.name):
         return None
     clear = sorted(file.name for file in (path.parent / _MODIS.beside).glob("*_clear.tif"))

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.hdf4 import Hdf4File, Labels, open_hdf4, write_planes
+from pcwlad_geo.raster.hdf4 import Hdf4File, Labels, geolocation, open_hdf4, write_planes
 from pcwlad_geo.types import Float64
 
 
@@ -71,7 +71,7 @@ class AsterFiles:
 
     def _places(self, file: Hdf4File, swath: str, *, geocentric: bool) -> Float64:
         """Return the (2, rows, cols) longitudes and latitudes of a swath, the latter geodetic."""
-        lon, lat = (file.plane(f"{swath}:{name}").astype(np.float64) for name in ("Longitude", "Latitude"))
+        lon, lat = file.places(swath)
         if geocentric:
             lat = np.degrees(np.arctan(np.tan(np.radians(lat)) / (1.0 - self.second_eccentricity)))
         return np.stack([lon, lat])
@@ -83,16 +83,13 @@ ASTER_FILES: Final = AsterFiles()
 
 def _geolocation(file: Hdf4File, swath: str, place: Path) -> dict[str, str]:
     """Return the metadata that place the pixels of a swath, as its own maps of dimensions say."""
-    tags = {"X_DATASET": str(place.absolute()), "Y_DATASET": str(place.absolute()), "X_BAND": "1"}
-    tags |= {"Y_BAND": "2", "SRS": "EPSG:4326", "GEOREFERENCING_CONVENTION": "PIXEL_CENTER"}
-    (text,) = re.findall(
-        rf'SwathName="{re.escape(swath)}"(.*?)GROUP=GeoField', file.structure, re.DOTALL
-    ) or [
-        "",
-    ]
-    for axis, dimension in (("LINE", "ImageLine"), ("PIXEL", "ImagePixel")):
-        numbers = re.search(rf'DataDimension="{dimension}"\s*Offset=(\d+)\s*Increment=(\d+)', text)
-        if numbers is None:
+    text = re.search(rf'SwathName="{re.escape(swath)}"(.*?)GROUP=GeoField', file.structure, re.DOTALL)
+    places = []
+    for dimension in ("ImageLine", "ImagePixel"):
+        numbers = text and re.search(
+            rf'DataDimension="{dimension}"\s*Offset=(\d+)\s*Increment=(\d+)', text[1]
+        )
+        if not numbers:
             raise ValueError(f"{swath} does not say which {dimension}s have places")
-        tags |= {f"{axis}_OFFSET": numbers[1], f"{axis}_STEP": numbers[2]}
-    return tags
+        places.append((int(numbers[1]), int(numbers[2])))
+    return geolocation(place, *places)

@@ -18,6 +18,7 @@ from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.raster.geolocation import DOMAIN
 from pcwlad_geo.raster.opening import check_source
 from pcwlad_geo.raster.writing import scratch_folder, sink
+from pcwlad_geo.types import Float64
 
 
 class Hdf4File:
@@ -59,6 +60,11 @@ class Hdf4File:
         )
         return np.reshape(values, (rows, cols))
 
+    def places(self, swath: str = "") -> Float64:
+        """Return the (2, rows, cols) longitudes and latitudes of the file, or of one of its swaths."""
+        prefix = f"{swath}:" if swath else ""
+        return np.stack([self.plane(prefix + name).astype(np.float64) for name in ("Longitude", "Latitude")])
+
 
 @contextmanager
 def open_hdf4(path: Path) -> Iterator[Hdf4File]:
@@ -97,6 +103,17 @@ class Labels:
     """GDAL's metadata domain GEOLOCATION."""
     transform: Affine | None = None
     crs: CRS | None = None
+
+
+def geolocation(place: Path, line: tuple[float, float], pixel: tuple[float, float]) -> dict[str, str]:
+    """Return the metadata that place pixels by a GeoTIFF of longitudes and latitudes.
+
+    The `line` and the `pixel` are the first that has a place, and how many there are from one to the next.
+    """
+    tags = {"X_DATASET": place.absolute(), "Y_DATASET": place.absolute(), "X_BAND": 1, "Y_BAND": 2}
+    tags |= {"LINE_OFFSET": line[0], "LINE_STEP": line[1], "PIXEL_OFFSET": pixel[0], "PIXEL_STEP": pixel[1]}
+    tags |= {"SRS": "EPSG:4326", "GEOREFERENCING_CONVENTION": "PIXEL_CENTER"}
+    return {key: str(value) for key, value in tags.items()}
 
 
 def write_planes(path: Path, planes: Iterator[NDArray[Any]], count: int, labels: Labels) -> None:

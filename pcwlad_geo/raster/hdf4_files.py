@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster.aster_files import ASTER_FILES, AsterFiles
 from pcwlad_geo.raster.modis_files import MODIS_FILES, ModisFiles
 
@@ -25,6 +26,13 @@ class Hdf4Files:
     def has_images(self, names: Sequence[str]) -> bool:
         """Whether there is a file with images among those of these `names`."""
         return self.aster.has_images(names) or self.modis.has_images(names)
+
+    def unread(self, path: Path) -> InputError:
+        """Return the error of a file that is opened as it is."""
+        return InputError(
+            f"{path} is HDF4, which register, match, prove, qa, stack and batch read: they write GeoTIFFs of "
+            "it beside their results"
+        )
 
     def write_rasters(self, path: Path, names: Sequence[str], folder: Path) -> None:
         """Write the arrays of a file into a folder, with places of another one if it is among the `names`.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcwlad_geo.errors import InputError
-from pcwlad_geo.raster.hdf4 import Hdf4File, Labels, open_hdf4, write_planes
+from pcwlad_geo.raster.hdf4 import Hdf4File, Labels, geolocation, open_hdf4, write_planes
 from pcwlad_geo.types import Bool, Float64
 
 _GRANULE: Final = r"(?P<satellite>M[OY]D)(?P<kind>{})\.(?P<time>A\d{{7}}\.\d{{4}})\..*"
@@ -82,7 +82,7 @@ class ModisFiles:
         beside, places = folder / self.beside, granule.format("03")
         with open_hdf4(path) as file:
             if match["kind"] == "03":
-                _write_places(beside / f"{places}_lonlat.tif", _places(file))
+                _write_places(beside / f"{places}_lonlat.tif", file.places())
             elif match["kind"] == "35_L2":
                 clear = (file.plane("Cloud_Mask") & self.clear_bits) == self.clear_bits
                 _write_clear(beside / f"{granule.format('35_L2')}_clear.tif", clear)
@@ -102,9 +102,10 @@ def _write_granule(file: Hdf4File, stem: Path, step: int, places: str) -> None:
     beside = stem.parent / MODIS_FILES.beside
     place = beside / f"{places if places and step == 1 else stem.name}_lonlat.tif"
     if not places or step > 1:
-        own = _places(file)
+        own = file.places()
         _write_places(place, own if step > 1 else _between(own, _image_shape(file)))
-    _write_images(file, stem, _geolocation(place, step))
+    # in a row the first pixel of each kilometre lies on its place, and the middle of them along the track
+    _write_images(file, stem, geolocation(place, ((step - 1) / 2, step), (0, step)))
     if "QC" in file.shapes:
         _write_clear(beside / f"{stem.name}_clear.tif", (file.plane("QC") & MODIS_FILES.not_produced) == 0)
 
@@ -112,11 +113,6 @@ def _write_granule(file: Hdf4File, stem: Path, step: int, places: str) -> None:
 def _image_shape(file: Hdf4File) -> tuple[int, int]:
     rows, cols = next(shape for name, shape in file.shapes.items() if re.fullmatch(_IMAGES, name))[-2:]
     return rows, cols
-
-
-def _places(file: Hdf4File) -> Float64:
-    """Return the (2, rows, cols) longitudes and latitudes of a file."""
-    return np.stack([file.plane(name).astype(np.float64) for name in ("Longitude", "Latitude")])
 
 
 def _between(places: Float64, shape: tuple[int, int]) -> Float64:
@@ -137,15 +133,7 @@ def _between(places: Float64, shape: tuple[int, int]) -> Float64:
     return np.degrees([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
 
 
-def _geolocation(place: Path, step: int) -> dict[str, str]:
-    """Return the metadata that place the pixels; in a row the first of each kilometre lies on its place."""
-    tags = {"X_DATASET": place.absolute(), "Y_DATASET": place.absolute(), "X_BAND": 1, "Y_BAND": 2}
-    tags |= {"PIXEL_OFFSET": 0, "LINE_OFFSET": (step - 1) / 2, "PIXEL_STEP": step, "LINE_STEP": step}
-    tags |= {"SRS": "EPSG:4326", "GEOREFERENCING_CONVENTION": "PIXEL_CENTER"}
-    return {key: str(value) for key, value in tags.items()}
-
-
-def _write_images(file: Hdf4File, stem: Path, geolocation: dict[str, str]) -> None:
+def _write_images(file: Hdf4File, stem: Path, placed: dict[str, str]) -> None:
     for name, shape in file.shapes.items():
         if not re.fullmatch(_IMAGES, name):
             continue
@@ -165,7 +153,7 @@ def _write_images(file: Hdf4File, stem: Path, geolocation: dict[str, str]) -> No
             0 if name == "LST" else MODIS_FILES.fill,
             scales.tolist(),
             (-scales * offsets).tolist(),
-            geolocation,
+            placed,
         )
         write_planes(stem.with_name(f"{stem.name}_{name}.tif"), _measured(file, name, count), count, labels)
 

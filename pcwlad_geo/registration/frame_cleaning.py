@@ -202,20 +202,18 @@ def _stripes(
         return None
     one, other = (np.moveaxis(values, axis, 0) for values in frames[:2])
     valid = np.moveaxis(frames.valid & ~marks, axis, 0)
-    most_rows = parameters.most_rows
-    both = [_profile(values, valid, parameters, most_rows) for values in (one, other)]
+
+    def profile_of_some(values: Float32, rows: slice = np.s_[:]) -> Float64:
+        return _profile(values[rows], valid[rows], parameters, parameters.most_rows)
+
+    both = [profile_of_some(values) for values in (one, other)]
     at_none = abs(_correlation(*both))
     shifts = [shift for shift in range(-parameters.reach_px, parameters.reach_px + 1) if abs(shift) > 1]
     elsewhere = max(abs(_correlation(both[0], np.roll(both[1], shift))) for shift in shifts)
     if at_none < parameters.stripes or elsewhere > parameters.beside * at_none:
         return None
     halves = np.s_[: len(valid) // 2], np.s_[len(valid) // 2 :]
-    own = [
-        _correlation(
-            *(_profile(values[half], valid[half], parameters, parameters.most_rows) for half in halves)
-        )
-        for values in (one, other)
-    ]
+    own = [_correlation(*(profile_of_some(values, half) for half in halves)) for values in (one, other)]
     if min(own) < parameters.stripes:
         return None
     return _profile(one, valid, parameters), _profile(other, valid, parameters)
@@ -230,19 +228,18 @@ def _profile(
     """
     reach_px = round(3 * parameters.smooth_px)
     some = np.s_[:: max(1, -(-len(valid) // (most_rows or len(valid))))]
-    values, valid = np.ascontiguousarray(values[some]), valid[some]
+    values = np.ascontiguousarray(values[some])
+    weight = np.ascontiguousarray(valid[some], np.float32)
 
     def blurred(part: Float32) -> Float32:
-        size = 2 * reach_px + 1, 1
-        return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(part), size, parameters.smooth_px))
+        return np.asarray(cv2.GaussianBlur(part, (2 * reach_px + 1, 1), parameters.smooth_px))
 
-    weight = valid.astype(np.float32)
     weighted = values * weight
     difference = (values - blurred(weighted) / np.maximum(blurred(weight), 1e-3)) * weight
     limit = parameters.outlying * float(np.abs(difference).sum() / max(weight.sum(), 1))
     count = weight.sum(axis=0)
     profile = np.clip(difference, -limit, limit).sum(axis=0, dtype=np.float64) / np.maximum(count, 1)
-    return np.where(count > parameters.least_valid * len(valid), profile, 0.0)
+    return np.where(count > parameters.least_valid * len(weight), profile, 0.0)
 
 
 def _correlation(one: Float64, other: Float64) -> float:

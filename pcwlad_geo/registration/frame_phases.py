@@ -100,7 +100,7 @@ def flattened(values: Float32, valid: Bool) -> Float32:
     """
     if not valid.any():
         return np.zeros_like(values)
-    whole = values if valid.all() else filled(values, ~valid, SpeckParameters())
+    whole = filled(values, ~valid, SpeckParameters())
     flat = whole - cv2.GaussianBlur(whole, (0, 0), 12)
     flat -= np.median(flat, axis=0)
     flat -= np.median(flat, axis=1)[:, None]

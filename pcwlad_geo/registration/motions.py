@@ -136,8 +136,7 @@ def other_displacement(
     off = np.flatnonzero(~consistent)
     if len(off) < parameters.least_rejected or not consistent.any():
         return None
-    xy, displacement_px = matches.reference_xy_px, matches.displacement_px
-    offset = displacement_px[off] - displacement_px[consistent][cKDTree(xy[consistent]).query(xy[off])[1]]
+    offset = matches.offsets_px(consistent)
     distinct = np.hypot(*offset.T) > parameters.judge.agree_px
     if distinct.sum() < parameters.least_rejected:
         return None

@@ -155,7 +155,5 @@ def _read(source: PointSource) -> PointFile:
 
 
 _HEAD: Final = b"SQLite format 3\0"
-GEOPACKAGE: Final = TiePointFormat(
-    "geopackage", lambda source: source.head.startswith(b"SQLite format 3\0"), _read
-)
+GEOPACKAGE: Final = TiePointFormat("geopackage", lambda source: source.head.startswith(_HEAD), _read)
 """The format of tiepoints.gpkg, which a job writes with its report."""
