@@ -34,9 +34,9 @@ def unpacked(names: Sequence[PathLike], out_dir: PathLike, *, overwrite: bool) -
     """
     texts = [os.fspath(name) for name in names]
     places = unpacked_places(texts, out_dir)
-    if overwrite or not all(_is_there(texts[number], place) for number, place in places.items()):
-        _write(texts, places)
     try:
+        if overwrite or not all(_is_there(texts[number], place) for number, place in places.items()):
+            _write(texts, places)
         yield [
             f"{places[number]}{_split(text)[1]}" if number in places else text
             for number, text in enumerate(texts)

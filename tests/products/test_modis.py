@@ -169,6 +169,15 @@ def test_what_is_missing_or_damaged_is_told(modis: Path, tmp_path: Path) -> None
         pcwlad_geo.register(reference(tmp_path.parent), tmp_path, tgt_band="B31", out_dir=tmp_path / "out")
 
 
+def test_of_a_file_that_lacks_a_part_nothing_is_left(tmp_path: Path) -> None:
+    """Its places are written before it is seen that a band has no name."""
+    images = np.ones((2, *SWATH.shape), "u2"), {"band_names": "31"}
+    write_hdf4(tmp_path / IMAGE, {"EV_1KM_Emissive": images} | places(slice(2, None, 5)))
+    with pytest.raises(InputError, match=r"MOD021KM.*2 bands, and 1 names"):
+        pcwlad_geo.register(reference(tmp_path), tmp_path / IMAGE, tgt_band="B31", out_dir=tmp_path / "out")
+    assert {file.name for file in tmp_path.iterdir()} == {IMAGE, "reference.tif"}
+
+
 def test_values_of_another_file_are_not_read(modis: Path, tmp_path: Path) -> None:
     (tmp_path / "secret").write_bytes(bytes(100))
     file = SD.SD(str(tmp_path / IMAGE), SD.SDC.WRITE | SD.SDC.CREATE)
