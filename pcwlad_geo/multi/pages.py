@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -29,17 +30,17 @@ def write_texts(folder: OutputFolder, names: Mapping[str, str], texts: Mapping[s
 
 
 def figure(value: float | None, digits: int = 2) -> str:
-    """Return `value` with `digits` decimals and a typographic minus sign; a dash for None."""
-    if value is None:
+    """Return `value` with `digits` decimals and a typographic minus sign; a dash for an unknown one."""
+    if value is None or math.isnan(value):
         return "–"
     text = f"{value:.{digits}f}"
     return text.replace("-", "−") if float(text) else f"{0:.{digits}f}"
 
 
 def signed(value: float | None, digits: int = 2) -> str:
-    """Return `value` with `digits` decimals and its sign; a dash for None."""
+    """Return `value` with `digits` decimals and its sign; a dash for an unknown one."""
     text = figure(value, digits)
-    return f"+{text}" if value is not None and float(text.replace("−", "-")) > 0 else text
+    return f"+{text}" if text[0].isdecimal() and float(text) else text
 
 
 def class_names(limits: Sequence[float], between: str = "–", unit: str = "") -> list[str]:

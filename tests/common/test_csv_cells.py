@@ -11,12 +11,14 @@ import pytest
 
 from pcwlad_geo.multi.batch.summary import PairOutcome, write_summary
 from pcwlad_geo.multi.batch.table import BatchPair
-from pcwlad_geo.multi.qa.numbers import to_csv
+from pcwlad_geo.multi.qa.numbers import summarise, to_csv
 from pcwlad_geo.options import Settings
 from pcwlad_geo.text import cell
 from pcwlad_geo.tiepoints.envi import write_envi
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
+from tests.multi.measured_bands import make_band, refused
+from tests.multi.test_qa_page import make_result
 
 FORMULAS = ["=1+1", "+1", "-cmd|' /C calc'!A0", "@SUM(A1)", "\t=1", "\r=1", "  =1", "＝1"]
 
@@ -40,8 +42,9 @@ def test_summary_of_a_batch(tmp_path: Path) -> None:
 
 
 def test_table_of_bands() -> None:
-    pair = {"reference": "=1+1", "target": "-b", "status": "refused", "passed": None, "n": 0, "rejected": 0}
-    (row,) = csv.DictReader(io.StringIO(to_csv({"pairs": [{**pair, "displacement": {}, "reason": "+why"}]})))
+    bands = [make_band("=1+1"), make_band("-b")]
+    numbers = summarise(make_result(bands, [refused(*bands, "+why")]), [])
+    (row,) = csv.DictReader(io.StringIO(to_csv(numbers)))
     assert (row["reference"], row["target"], row["reason"]) == ("'=1+1", "'-b", "'+why")
 
 

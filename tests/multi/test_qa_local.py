@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcwlad_geo.multi.qa.band_pairs import local_means
+from pcwlad_geo.multi.qa.band_pairs import LocalMean, local_means
+from pcwlad_geo.multi.qa.numbers import BandPairEntry, summarise
 from pcwlad_geo.multi.qa.page import displacement_maps
 from tests.multi.measured_bands import make_band, make_pair
+from tests.multi.test_qa_page import make_result
 
 A, B = make_band("a"), make_band("b", shape=(400, 200))
 
@@ -37,14 +39,13 @@ def test_squares_with_few_points_are_left_out() -> None:
 
 
 def test_an_arrow_lies_about_the_middle_of_its_square_and_points_where_it_must() -> None:
-    def pair(name: str, ce90: float, mean: tuple[float, float]) -> dict[str, object]:
-        local = [{"at_px": (100.0, 300.0), "n": 9, "mean_px": mean}]
-        return {
-            "name": name,
-            "target": "b",
-            "local": local,
-            "displacement": {"px": {"radial": {"ce90": ce90}}},
-        }
+    def pair(name: str, ce90_px: float, mean_px: tuple[float, float]) -> BandPairEntry:
+        made = summarise(make_result([A, B], [make_pair(A, B)]), []).pairs[0]
+        px = made.displacement["px"]
+        assert px is not None
+        statistics = replace(px, radial=replace(px.radial, ce90=ce90_px))
+        local = (LocalMean((100.0, 300.0), 9, mean_px),)
+        return replace(made, name=name, local=local, displacement={"px": statistics})
 
     worst, best = displacement_maps(
         [pair("best", 0.1, (0.0, 0.01)), pair("worst", 0.9, (-0.5, 0.0))], {"b": (400, 200)}

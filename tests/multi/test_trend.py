@@ -37,11 +37,12 @@ def without_pictures() -> None:
 def write_qa(folder: Path, date: str, mean: float, **changes: Any) -> None:
     """A qa.json of two bands of a Landsat scene of that date."""
     bands = [make_band("B4"), make_band("B5")]
-    summary = summarise(make_result(bands, [make_pair(*bands, (mean, 0.0))], ("CE90<=0.3px",)), [])
-    for band in summary["bands"]:
-        band["path"] = f"/data/{LANDSAT.format(date=date, band=band['name'])}.TIF"
+    numbers = summarise(make_result(bands, [make_pair(*bands, (mean, 0.0))], ("CE90<=0.3px",)), [])
+    paths = {band.name: f"/data/{LANDSAT.format(date=date, band=band.name)}.TIF" for band in bands}
+    entries = tuple(replace(band, path=paths[band.name]) for band in numbers.bands)
     folder.mkdir(parents=True)
-    (folder / "qa.json").write_text(to_json({**summary, **changes}), encoding="utf-8")
+    text = to_json(replace(numbers, bands=entries, **changes))
+    (folder / "qa.json").write_text(text, encoding="utf-8")
 
 
 def test_a_report_nested_without_end_is_none_of_ours(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Final, Literal
 
 from pcwlad_geo.correction.error_statistics import Count, FloatPair, UnitStatistics
 from pcwlad_geo.correction.proof_result import Proof
@@ -19,7 +19,7 @@ from pcwlad_geo.raster import FileIdentity
 from pcwlad_geo.report.content import Positive
 from pcwlad_geo.report.json_content import filled, rounded, versions
 from pcwlad_geo.requirements import Unit
-from pcwlad_geo.text import csv_of, plain
+from pcwlad_geo.text import csv_of
 
 UNITS: Final[Mapping[Literal["px", "native_px", "m"], Unit]] = {
     "px": "px",
@@ -31,7 +31,6 @@ AXIS_STATISTICS: Final = ("mean", "median", "std", "rmse", "min", "max", "le90")
 """Statistics per axis, by their names in files."""
 RADIAL_STATISTICS: Final = ("rmse", "ce90", "ce95", "ce99_7")
 """Radial statistics, by their names in files."""
-Summary = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,11 +203,8 @@ class QaNumbers:
     """Names of the files in the folder."""
 
 
-def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
-    """Return the content of `qa.json` in JSON types, as `QaNumbers` has it.
-
-    The `outputs` are names of the files in the output folder.
-    """
+def summarise(result: QaResult, outputs: Sequence[str]) -> QaNumbers:
+    """Return the content of `qa.json`; the `outputs` are names of the files in the output folder."""
     numbers = filled(
         QaNumbers,
         result,
@@ -224,12 +220,12 @@ def summarise(result: QaResult, outputs: Sequence[str]) -> Summary:
         versions=versions(),
         outputs=tuple(outputs),
     )
-    return cast(Summary, plain(rounded(numbers)))
+    return rounded(numbers)
 
 
-def to_csv(summary: Mapping[str, Any]) -> str:
+def to_csv(numbers: QaNumbers) -> str:
     """Return the text of `qa.csv`: one line per pair; cells without a value are empty."""
-    return csv_of([_row(pair) for pair in summary["pairs"]])
+    return csv_of([_row(pair) for pair in numbers.pairs])
 
 
 def _verdict(judged: Judged) -> BandRequirementEntry:
@@ -272,26 +268,26 @@ def _pair(pair: PairResult, verdicts: Sequence[Judged]) -> BandPairEntry:
     )
 
 
-def _row(pair: Mapping[str, Any]) -> dict[str, object]:
+def _row(pair: BandPairEntry) -> dict[str, object]:
     names = ("reference", "target", "status", "passed", "n", "rejected")
-    row: dict[str, object] = {name: pair[name] for name in names}
-    for unit, statistics in pair["displacement"].items():
+    row: dict[str, object] = {name: getattr(pair, name) for name in names}
+    for unit, statistics in pair.displacement.items():
         row |= {f"{name}_{unit}": value for name, value in _flat(statistics).items()}
-    return {**row, "reason": pair["reason"]}
+    return {**row, "reason": pair.reason}
 
 
-def _flat(statistics: Mapping[str, Any] | None) -> dict[str, float | None]:
+def _flat(statistics: UnitStatistics | None) -> dict[str, float | None]:
     """Return all statistics of one unit by name: `mean_col`, `ce90`, `net_ce90`, `noise_row`."""
-    entries = statistics or {}
+    axes = {axis: getattr(statistics, axis, None) for axis in ("col", "row")}
+    radial, net = getattr(statistics, "radial", None), getattr(statistics, "net", None)
     flat = {
-        f"{name}_{axis}": entries.get(axis, {}).get(name)
-        for axis in ("col", "row")
+        f"{name}_{axis}": getattr(values, name, None)
+        for axis, values in axes.items()
         for name in AXIS_STATISTICS
     }
-    flat |= {name: entries.get("radial", {}).get(name) for name in RADIAL_STATISTICS}
-    net = entries.get("net", {})
-    flat |= {f"net_{name}": net.get(name) for name in RADIAL_STATISTICS}
+    flat |= {name: getattr(radial, name, None) for name in RADIAL_STATISTICS}
+    flat |= {f"net_{name}": getattr(net, name, None) for name in RADIAL_STATISTICS}
     for entry, name in (("noise_xy", "noise"), ("std_xy", "net_std"), ("le90_xy", "net_le90")):
-        values = net.get(entry) or (None, None)
-        flat |= {f"{name}_{axis}": value for axis, value in zip(("col", "row"), values, strict=True)}
+        values = getattr(net, entry, (None, None))
+        flat |= {f"{name}_{axis}": value for axis, value in zip(axes, values, strict=True)}
     return flat

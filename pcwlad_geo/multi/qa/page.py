@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from pcwlad_geo.multi.pages import class_names, environment
-from pcwlad_geo.multi.qa.band_pairs import SQUARES
+from pcwlad_geo.multi.qa.band_pairs import SQUARES, LocalMean
 from pcwlad_geo.multi.qa.closure import CLOSURE, closes, larger_axis_px
-from pcwlad_geo.multi.qa.numbers import Summary
+from pcwlad_geo.multi.qa.numbers import BandEntry, BandPairEntry, QaNumbers, TriangleEntry
+from pcwlad_geo.text import plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,32 +64,31 @@ class DisplacementMap:
 
 
 def displacement_maps(
-    pairs: Sequence[Mapping[str, Any]], shapes: Mapping[str, Sequence[int]], layout: QaLayout = QA_LAYOUT
+    pairs: Sequence[BandPairEntry], shapes: Mapping[str, tuple[int, int]], layout: QaLayout = QA_LAYOUT
 ) -> list[DisplacementMap]:
-    """Return the maps of the measured pairs of a summary, by decreasing CE90; `shapes` are (rows, cols)."""
-    measured = [pair for pair in pairs if pair["local"]]
-    worst = sorted(measured, key=lambda pair: -float(pair["displacement"]["px"]["radial"]["ce90"]))
-    return [_map(pair, shapes[pair["target"]], layout) for pair in worst[: layout.max_maps]]
+    """Return the maps of the measured pairs, by decreasing CE90; `shapes` are (rows, cols)."""
+    worst = sorted((pair for pair in pairs if pair.local), key=_ce90_px, reverse=True)
+    return [_map(pair, shapes[pair.target], layout) for pair in worst[: layout.max_maps]]
 
 
-def _map(pair: Mapping[str, Any], shape: Sequence[int], layout: QaLayout) -> DisplacementMap:
+def _map(pair: BandPairEntry, shape: tuple[int, int], layout: QaLayout) -> DisplacementMap:
     (rows, cols), margin_px = shape, layout.map_margin_px
     scale = layout.map_side_px / max(rows, cols)
-    longest = max(math.hypot(*local["mean_px"]) for local in pair["local"])
+    longest = max(math.hypot(*local.mean_px) for local in pair.local)
     arrow = 0.85 * layout.map_side_px / SQUARES
     per_px = arrow / max(longest, 0.05)  # smaller ones would only show noise
     return DisplacementMap(
-        name=pair["name"],
+        name=pair.name,
         width=round(cols * scale + 2 * margin_px, 1),
         height=round(rows * scale + 2 * margin_px, 1),
-        arrows=tuple(_arrow(local, scale, per_px, margin_px) for local in pair["local"]),
+        arrows=tuple(_arrow(local, scale, per_px, margin_px) for local in pair.local),
         longest_px=longest,
     )
 
 
-def _arrow(local: Mapping[str, Any], scale: float, per_px: float, margin_px: float) -> Arrow:
+def _arrow(local: LocalMean, scale: float, per_px: float, margin_px: float) -> Arrow:
     """Return an arrow centred on its square."""
-    (col, row), (d_col, d_row) = local["at_px"], local["mean_px"]
+    (col, row), (d_col, d_row) = local.at_px, local.mean_px
     dx, dy = d_col * per_px, d_row * per_px
     turn = round(math.degrees(math.atan2(dy, dx)))
     return Arrow(
@@ -104,8 +104,8 @@ def _arrow(local: Mapping[str, Any], scale: float, per_px: float, margin_px: flo
 class Cell:
     """A cell of the matrix."""
 
-    pair: Mapping[str, Any]
-    """Entry of the pair in the summary."""
+    pair: BandPairEntry
+    """The pair, as qa.json has it."""
     level: int
     """Class of CE90, from 0."""
     arrow: tuple[float, float] | None
@@ -114,65 +114,59 @@ class Cell:
     """Direction of the arrow."""
 
 
-def qa_page(summary: Summary, layout: QaLayout = QA_LAYOUT) -> str:
-    """Return the text of `qa.html`.
-
-    The `summary` is the result of `summarise`.
-    """
-    pairs = summary["pairs"]
-    measured = [pair for pair in pairs if pair["status"] == "measured"]
-    longest = max((_length(pair) for pair in measured), default=0.0)
-    cells = {(pair["reference"], pair["target"]): _cell(pair, longest, layout) for pair in pairs}
+def qa_page(numbers: QaNumbers, layout: QaLayout = QA_LAYOUT) -> str:
+    """Return the text of `qa.html`."""
+    pairs, bands, against = numbers.pairs, numbers.bands, numbers.against
+    measured = [pair for pair in pairs if pair.status == "measured"]
+    longest = max(map(_length_px, measured), default=0.0)
     shorten = partial(few, most=layout.max_rows // 4)
-    names = [band["name"] for band in summary["bands"]]
-    against = summary["against"]
+    names = [band.name for band in bands]
     return (
         environment()
         .get_template("qa.html.j2")
         .render(
-            summary,
-            verdict=verdict(summary),
-            state={None: "open", True: "good", False: "bad"}[summary["passed"]],
+            {field.name: getattr(numbers, field.name) for field in fields(numbers)},
+            settings=plain(numbers.settings),
+            verdict=verdict(numbers),
+            state={None: "open", True: "good", False: "bad"}[numbers.passed],
             title=shorten(names),
             rows=[against] if against else names[:-1],
             columns=[name for name in names if name != against] if against else names[1:],
-            cells=cells,
-            where={band["name"]: _where(band) for band in summary["bands"]},
+            cells={(pair.reference, pair.target): _cell(pair, longest, layout) for pair in pairs},
+            where={band.name: _where(band) for band in bands},
             measured=measured,
-            refused=[pair for pair in pairs if pair["status"] == "refused"],
+            refused=[pair for pair in pairs if pair.status == "refused"],
             few=shorten,
-            more_gaps=max(len(summary["closure"]) - layout.max_rows, 0),
-            worst_gaps=sorted(summary["closure"], key=gap, reverse=True)[: layout.max_rows],
-            worst=max(measured, key=lambda pair: pair["displacement"]["px"]["radial"]["ce90"], default=None),
-            farthest=max(measured, key=_length, default=None),
+            more_gaps=max(len(numbers.closure) - layout.max_rows, 0),
+            worst_gaps=sorted(numbers.closure, key=gap, reverse=True)[: layout.max_rows],
+            worst=max(measured, key=_ce90_px, default=None),
+            farthest=max(measured, key=_length_px, default=None),
             farthest_px=longest,
-            widest_gap=max(map(gap, summary["closure"]), default=None),
+            widest_gap=max(map(gap, numbers.closure), default=None),
             classes=class_names(layout.ce90_classes_px),
             closes_px=CLOSURE.closes_px,
-            maps=displacement_maps(pairs, {band["name"]: band["shape"] for band in summary["bands"]}, layout),
+            maps=displacement_maps(pairs, {band.name: band.shape for band in bands}, layout),
             closes=closes,
             crs_name=crs_name,
             differs=differs,
-            native_differs=any(differs(pair) for pair in measured),
+            native_differs=any(map(differs, measured)),
             warnings=_warnings(pairs),
         )
     )
 
 
-def verdict(summary: Summary) -> str:
+def verdict(numbers: QaNumbers) -> str:
     """Return the headline of the page, with the verdict."""
-    pairs = summary["pairs"]
-    refused = sum(pair["status"] == "refused" for pair in pairs)
+    pairs, requirements = numbers.pairs, numbers.requirements
+    refused = sum(pair.status == "refused" for pair in pairs)
     count = "1 pair" if len(pairs) == 1 else f"{len(pairs)} pairs"
-    if summary["passed"] is None:
-        if refused:
-            return f"{refused} of {count} could not be measured"
-        return f"{count} measured"
-    if summary["passed"]:
+    if numbers.passed is None:
+        return f"{refused} of {count} could not be measured" if refused else f"{count} measured"
+    if numbers.passed:
         who = {1: "the pair meets", 2: "both pairs meet"}.get(len(pairs), f"all {count} meet")
-        return f"Passed: {who} the requirement{'s' if len(summary['requirements']) > 1 else ''}"
-    failed = sum(pair["passed"] is False for pair in pairs)
-    missed = [requirement["text"] for requirement in summary["requirements"] if not requirement["passed"]]
+        return f"Passed: {who} the requirement{'s' if len(requirements) > 1 else ''}"
+    failed = sum(pair.passed is False for pair in pairs)
+    missed = [requirement.text for requirement in requirements if not requirement.passed]
     if failed and refused:
         return f"Failed: {failed} of {count}, {refused} of them refused"
     if failed:
@@ -181,9 +175,9 @@ def verdict(summary: Summary) -> str:
     return "Failed: triangles do not close"
 
 
-def gap(triangle: Mapping[str, Any]) -> float:
+def gap(triangle: TriangleEntry) -> float:
     """Return the closure error of a triangle, px, of the larger axis; 0 if it is not known."""
-    return larger_axis_px(triangle["mean_px"])
+    return larger_axis_px(triangle.mean_px)
 
 
 def crs_name(crs: str | None) -> str:
@@ -194,10 +188,10 @@ def crs_name(crs: str | None) -> str:
     return name[1] if name else crs
 
 
-def differs(pair: Mapping[str, Any]) -> bool:
+def differs(pair: BandPairEntry) -> bool:
     """Whether the native pixel size of a measured pair is known and differs from the target's."""
-    in_px, in_native_px = (pair["displacement"][unit] for unit in ("px", "native_px"))
-    return bool(in_native_px is not None and in_native_px["radial"] != in_px["radial"])
+    in_px, in_native_px = pair.displacement["px"], pair.displacement["native_px"]
+    return in_px is not None and in_native_px is not None and in_native_px.radial != in_px.radial
 
 
 def few(names: Sequence[str], most: int) -> str:
@@ -206,35 +200,41 @@ def few(names: Sequence[str], most: int) -> str:
     return ", ".join(names[:most]) + more
 
 
-def _cell(pair: Mapping[str, Any], longest: float, layout: QaLayout) -> Cell:
-    if pair["status"] == "refused":
-        return Cell(pair, 0, None, 0.0)
-    px = pair["displacement"]["px"]
-    level = sum(px["radial"]["ce90"] > limit for limit in layout.ce90_classes_px)
-    col, row, length = px["col"]["mean"], px["row"]["mean"], _length(pair)
-    if length < 0.15 * longest or longest == 0:
+def _cell(pair: BandPairEntry, longest_px: float, layout: QaLayout) -> Cell:
+    level = sum(_ce90_px(pair) > limit for limit in layout.ce90_classes_px)
+    length_px = _length_px(pair)
+    if length_px < 0.15 * longest_px or longest_px == 0:
         return Cell(pair, level, None, 0.0)
-    scale = layout.arrow_px / longest
-    return Cell(
-        pair, level, (round(col * scale, 1), round(row * scale, 1)), round(math.degrees(math.atan2(row, col)))
-    )
+    (col, row), scale = _mean_px(pair), layout.arrow_px / longest_px
+    tip = round(col * scale, 1), round(row * scale, 1)
+    return Cell(pair, level, tip, round(math.degrees(math.atan2(row, col))))
 
 
-def _length(pair: Mapping[str, Any]) -> float:
-    px = pair["displacement"]["px"]
-    return math.hypot(px["col"]["mean"], px["row"]["mean"])
+def _mean_px(pair: BandPairEntry) -> tuple[float, float]:
+    """Return the mean displacement (col, row); 0 of a pair that is not measured."""
+    px = pair.displacement["px"]
+    return (px.col.mean, px.row.mean) if px else (0.0, 0.0)
 
 
-def _where(band: Mapping[str, Any]) -> str:
+def _length_px(pair: BandPairEntry) -> float:
+    return math.hypot(*_mean_px(pair))
+
+
+def _ce90_px(pair: BandPairEntry) -> float:
+    px = pair.displacement["px"]
+    return px.radial.ce90 if px else 0.0
+
+
+def _where(band: BandEntry) -> str:
     """Return file and number of a band, unless its name contains them."""
-    stem = Path(band["path"]).stem
-    return "" if stem.endswith(band["name"]) else f"{stem}, band {band['band']}"
+    stem = Path(band.path).stem
+    return "" if stem.endswith(band.name) else f"{stem}, band {band.band}"
 
 
-def _warnings(pairs: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
+def _warnings(pairs: Sequence[BandPairEntry]) -> list[tuple[str, list[str]]]:
     """Return each warning once, with the pairs to which it applies."""
     pair_names: dict[str, list[str]] = {}
     for pair in pairs:
-        for warning in pair["warnings"]:
-            pair_names.setdefault(warning, []).append(pair["name"])
+        for warning in pair.warnings:
+            pair_names.setdefault(warning, []).append(pair.name)
     return list(pair_names.items())

@@ -299,11 +299,11 @@ def write_results(result: QaResult, folder: OutputFolder) -> None:
     from pcwlad_geo.report.json_content import to_json  # slow to load
 
     kinds = [kind for kind in QA_FILES if kind != "pdf" or result.settings.pdf]
-    summary = summarise(result, sorted(QA_FILES[kind] for kind in kinds))
-    page = qa_page(summary)
+    numbers = summarise(result, sorted(QA_FILES[kind] for kind in kinds))
+    page = qa_page(numbers)
     if "pdf" in kinds:
         from pcwlad_geo.report.pdf import to_pdf
 
         folder.path(QA_FILES["pdf"]).write_bytes(to_pdf(page))
-    texts = {"table": to_csv(summary), "report": page, "numbers": to_json(summary)}
+    texts = {"table": to_csv(numbers), "report": page, "numbers": to_json(numbers)}
     write_texts(folder, QA_FILES, texts)
