@@ -476,7 +476,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name in OPTIONS:
             _check(name, getattr(self, name))
-        object.__setattr__(self, "require", _texts("require", self.require))
+        object.__setattr__(self, "require", _requirements(self.require))
         _check_together(self)
 
     @property
@@ -565,11 +565,11 @@ def _check_together(settings: Settings) -> None:
             )
 
 
-def _texts(name: str, value: object) -> tuple[str, ...]:
+def _requirements(value: object) -> tuple[str, ...]:
     """Return all items of one or several texts, each of which may hold several separated by semicolons."""
     texts = [value] if isinstance(value, str) else value
     if not (isinstance(texts, Sequence) and all(isinstance(text, str) for text in texts)):
-        raise SettingsError(f"{name} = {value!r}: give a text, or several")
+        raise SettingsError(f"require = {value!r}: give a text, or several")
     parts = (part.strip() for text in texts for part in text.split(";"))
     return tuple(part for part in parts if part)
 

@@ -47,8 +47,6 @@ class SmoothingTrials:
 
     system: ThinPlateSystem
     overlaps: Overlaps
-    values_px: Float64
-    """(n, 2) values (col, row), px."""
     normal: Float64
     """Diagonals of the normal matrix, the same for every smoothing."""
     root: Float64
@@ -96,7 +94,6 @@ class SmoothingTrials:
         return cls(
             system=system,
             overlaps=overlaps,
-            values_px=values_px,
             normal=system.normal(precision),
             root=root,
             inlier=inlier,

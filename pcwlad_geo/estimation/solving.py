@@ -75,10 +75,10 @@ def least_squares(design: Float64, values: Float64, least: float | None = None) 
     return _checked(lambda one, other: np.linalg.lstsq(one, other, rcond=least)[0], SIZE, design, values)
 
 
-def factorised(matrix: csc_array, needs: str, **options: object) -> SuperLU:
-    """Return the LU factors of a sparse matrix; the `options` are those of `scipy.sparse.linalg.splu`."""
+def factorised(matrix: csc_array, needs: str) -> SuperLU:
+    """Return the LU factors of a sparse matrix."""
     try:
-        return splu(matrix, **options)
+        return splu(matrix)
     except RuntimeError as error:
         raise InputError(f"{needs} (what is given is singular)") from error
 

@@ -32,7 +32,8 @@ class ShiftSearchParameters:
     least_significance: float = 5.0
     """Least significance, -log10 of the probability of chance, of an accepted shift."""
     least_distinctness: float = 0.25
-    """Least distinctness of an accepted shift from its best rival."""
+    """Least value of 1 minus the share of patches that agree on the best rival elsewhere, over that of an
+    accepted shift."""
 
 
 SHIFT_SEARCH: Final = ShiftSearchParameters()
@@ -47,16 +48,10 @@ class SearchResult:
     """(col, row) target minus reference array index, px: the middle of what the patches found."""
     spread_px: float
     """Distance from the shift within which 95 % of the agreeing patches lie: parallax, scale and rotation."""
-    patches: int
-    """Number of patches that were matched."""
-    agreeing: int
-    """Number of patches that agree on the shift."""
     significance: float
     """-log10 of the probability that as many patches agree by chance."""
-    distinctness: float
-    """1 minus the share of agreeing patches of the best rival elsewhere over that of the shift, 0 to 1."""
     accepted: bool
-    """Whether significance and distinctness are above their thresholds."""
+    """Whether it is significant, and distinct from its best rival elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,18 +140,10 @@ def _vote(reference: Channels, target: Channels, candidate_xy: Float64, by: Shif
 def _judge(votes: list[_Vote], factor: int, by: ShiftSearchParameters) -> SearchResult:
     """Take the best vote and compare it with its best rival elsewhere."""
     if not votes:
-        return SearchResult((0.0, 0.0), 0.0, 0, 0, 0.0, 0.0, False)
+        return SearchResult((0.0, 0.0), 0.0, 0.0, False)
     best = max(votes, key=lambda vote: vote.significance)
     rivals = [vote.share for vote in votes if np.hypot(*(vote.shift_xy - best.shift_xy)) > PATCHES.radius_px]
     distinctness = 1 - min(max(rivals, default=0.0) / best.share, 1.0) if best.agreeing else 0.0
     accepted = best.significance >= by.least_significance and distinctness >= by.least_distinctness
     x, y = best.shift_xy * factor
-    return SearchResult(
-        (float(x), float(y)),
-        best.spread_px * factor,
-        best.patches,
-        best.agreeing,
-        best.significance,
-        distinctness,
-        accepted,
-    )
+    return SearchResult((float(x), float(y)), best.spread_px * factor, best.significance, accepted)

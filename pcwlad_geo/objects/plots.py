@@ -56,16 +56,10 @@ def new_axes(ax: Axes | None) -> Axes:
 
 
 def plot_arrows(
-    points: TiePointTable,
-    arrows_px: Float64,
-    what: str,
-    backdrop: Raster | None,
-    *,
-    ax: Axes | None = None,
-    scale: float | None = None,
+    points: TiePointTable, backdrop: Raster | None, *, ax: Axes | None = None, scale: float | None = None
 ) -> Axes:
-    """Draw the (n, 2) `arrows_px` (col, row) at the reference positions of tie points, over the reference."""
-    ax = new_axes(ax)
+    """Draw the displacements of tie points at their reference positions, over the reference."""
+    ax, arrows_px = new_axes(ax), points.displacement_px
     rows, cols = _shape(points, backdrop)
     if backdrop is not None:
         draw_backdrop(ax, backdrop)
@@ -77,7 +71,7 @@ def plot_arrows(
     if len(rejected):
         ax.plot(*rejected.T, "x", color="tab:blue", markersize=4, label=f"{len(rejected)} rejected")
         ax.legend(loc="lower right")
-    ax.set_title(f"{what}, {len(matches)} tie points", loc="left")
+    ax.set_title(f"displacement, {len(matches)} tie points", loc="left")
     label_pixels(ax, (rows, cols), "reference")
     return ax
 

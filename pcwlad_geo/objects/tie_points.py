@@ -152,7 +152,7 @@ class TiePoints(TiePointTable):
             Of the pixels of the reference, rows downwards. Rejected points are crosses.
         """
         backdrop = None if self.matches is None else self.reference
-        return plot_arrows(self, self.displacement_px, "displacement", backdrop, ax=ax, scale=scale)
+        return plot_arrows(self, backdrop, ax=ax, scale=scale)
 
     def fitted_to(self) -> Matches:
         """Return what a correction is fitted to: the matching, with these points alone.

@@ -70,8 +70,6 @@ class PrecisionMap:
 
     target_shape: tuple[int, int]
     """Rows and columns of the target."""
-    places_px: Float64
-    """(rows, columns, 2) positions (col, row), target px."""
     sigma_px: Float64
     """(rows, columns, 2) standard deviation (col, row), target px."""
     extrapolated: Bool
@@ -89,7 +87,6 @@ class PrecisionMap:
         flat = places.reshape(-1, 2)
         return cls(
             target_shape,
-            places,
             selection.sigma(flat).reshape(places.shape),
             selection.extrapolated(flat).reshape(places.shape[:2]),
         )

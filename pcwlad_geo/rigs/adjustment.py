@@ -118,8 +118,6 @@ class Adjusted:
     """(n, 2) observed minus predicted."""
     inliers: Bool
     """(n,) mask of the observations that are no outliers."""
-    factor: float
-    """Standard deviation of the residuals over that expected of them."""
 
 
 def adjust(
@@ -202,7 +200,7 @@ def adjust(
     factor = sigma_of(residual[inliers] / observed.sigma_px[inliers, None]) if inliers.any() else 1.0
     deviation = np.zeros((len(scale), len(free)))
     deviation[free, np.arange(len(free))] = scale[free] * max(factor, 1.0)
-    return Adjusted(state, deviation @ inverse(normal, NEEDS) @ deviation.T, residual, inliers, factor)
+    return Adjusted(state, deviation @ inverse(normal, NEEDS) @ deviation.T, residual, inliers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

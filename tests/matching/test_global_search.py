@@ -196,7 +196,7 @@ def test_nothing_to_compare_is_not_accepted() -> None:
         (image[:6, :6], ~some[:6, :6]),
     ):
         result = search_shift(reference, image, valid, ~some)
-        assert result == SearchResult((0.0, 0.0), 0.0, 0, 0, 0.0, 0.0, False)
+        assert result == SearchResult((0.0, 0.0), 0.0, 0.0, False)
 
 
 def read(path: Path) -> np.ndarray:

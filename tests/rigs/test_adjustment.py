@@ -141,7 +141,7 @@ def test_precision_is_that_over_the_frame_of_the_reference_for_a_lens_of_few_px_
     state = RigState(("brown",) * 2, vectors, np.zeros((2, 6)), np.array([[1.0, 0, 0]]))
     covariance = np.zeros((31, 31))
     covariance[24, 24] = 1e-6  # of the rotation of the lens about its axis
-    found = Adjusted(state, covariance, np.empty((0, 2)), np.empty(0, bool), 1.0)
+    found = Adjusted(state, covariance, np.empty((0, 2)), np.empty(0, bool))
     median_px, largest_px = _precision(found, 1, reference, lens)[0]
     radii_px = share * np.hypot(*(lattice(SHAPE, 80) - [320.0, 240.0]).T)
     assert median_px / largest_px == pytest.approx(np.median(radii_px) / radii_px.max(), rel=0.01)

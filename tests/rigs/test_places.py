@@ -94,7 +94,7 @@ def test_the_sigma_of_a_lens_of_few_px_is_in_px_of_the_reference(folder: Path) -
     )
     state = RigState(("brown",) * len(lenses), vectors, np.zeros((len(lenses), 6)), np.array([[1.0, 0, 0]]))
     known = np.zeros((len(state.vector), len(state.vector)))
-    found = Adjusted(state, known, np.empty((0, 2)), np.empty(0, bool), 1.0)
+    found = Adjusted(state, known, np.empty((0, 2)), np.empty(0, bool))
     assert _sigma_px(replace(rig, lenses=lenses), found) == pytest.approx(0.4)
 
 

@@ -53,7 +53,6 @@ class Frame:
             best = replace(
                 best,
                 matrix=matrix,
-                patches=patches.count,
                 agreeing=patches.agreeing,
                 spread_px=spread_px / self._factor,
             )

@@ -161,7 +161,6 @@ def voted_pose(
                 start,
                 matrix=pose[:2],
                 evidence=evidence,
-                patches=len(votes.agrees),
                 agreeing=votes.agreeing,
                 spread_px=patches.px(votes.spread_px),
                 homography=patches.in_perspective(votes),

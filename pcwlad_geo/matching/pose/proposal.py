@@ -21,8 +21,6 @@ class PoseProposal:
     evidence: float
     """-log10 of the probability, as measured, that unrelated images give as much: a score that stands out as
     far, or as many patches that agree."""
-    patches: int = 0
-    """Number of patches that were compared."""
     agreeing: int = 0
     """Number of patches that agree on the transformation."""
     spread_px: float = 0.0

@@ -61,7 +61,7 @@ def check_dem(
     if dem is None:
         return None
     least_m = _least_m(block, dem, absolute, parameters)
-    height_m, chance, separation_px = _too_high(block, pairs, adjustment)
+    height_m, chance, separation_px = _too_high(block, adjustment)
     offset_m, sigma_m = _horizontal_offset(block, dem, adjustment, least_m)
     scale, scale_sigma = _scale(block, pairs, adjustment, parameters)
     reasons: list[str] = []
@@ -124,7 +124,7 @@ def _height_message(dem: Dem, height_m: float, separation_px: float) -> str:
 
 
 def _too_high(
-    block: RpcBlock, pairs: Sequence[BlockPair], adjustment: BlockAdjustment
+    block: RpcBlock, adjustment: BlockAdjustment
 ) -> tuple[float | None, float | None, float | None]:
     """Return how much too high the DEM seems, the chance of that, and what it sets images apart by, px."""
     size = {image: pixel_in_frame(block, image) for image in adjustment.free}
