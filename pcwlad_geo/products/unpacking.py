@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.products.finding import KINDS, stem_of
@@ -24,6 +24,27 @@ _HDF4: Final = ".hdf"
 """Ending of files of HDF4."""
 
 
+class _Unread(NamedTuple):
+    """An input that is written to a place of its own."""
+
+    path: str
+    bands: str
+    """What follows the path after a colon."""
+    place: Path
+    members: list[tuple[FileTree, str]]
+    """Its files that are not read where they lie; none of a part of a JPEG."""
+
+    @property
+    def is_there(self) -> bool:
+        """Whether what it is unpacked to is there, and younger than the input; of HDF4 it is never."""
+        files = [self.place / name_in(member) for _, member in self.members] or [self.place]
+        try:
+            changed_ns = Path(self.path).stat().st_mtime_ns
+            return all(file.stat().st_mtime_ns >= changed_ns for file in files)
+        except OSError:
+            return False
+
+
 @contextmanager
 def unpacked(names: Sequence[PathLike], out_dir: PathLike, *, overwrite: bool) -> Iterator[list[str]]:
     """Give the names of inputs; those that need it are written to ``<out_dir>_inputs``, and named there.
@@ -33,69 +54,59 @@ def unpacked(names: Sequence[PathLike], out_dir: PathLike, *, overwrite: bool) -
     `overwrite`. Raises `InputError` if an input cannot be read, and `OutputError` if they cannot be written.
     """
     texts = [os.fspath(name) for name in names]
-    places = unpacked_places(texts, out_dir)
+    inputs = _unread(texts, out_dir)
     try:
-        if overwrite or not all(_is_there(texts[number], place) for number, place in places.items()):
-            _write(texts, places)
+        if overwrite or not all(one.is_there for one in inputs.values()):
+            _write(texts, inputs)
         yield [
-            f"{places[number]}{_split(text)[1]}" if number in places else text
+            f"{inputs[number].place}{inputs[number].bands}" if number in inputs else text
             for number, text in enumerate(texts)
         ]
     finally:
-        if places and not Path(out_dir).exists():
+        if inputs and not Path(out_dir).exists():
             shutil.rmtree(_folder_of(out_dir), ignore_errors=True)
 
 
 def unpacked_places(names: Sequence[str], out_dir: PathLike) -> dict[int, Path]:
     """Return the places of the inputs that `unpacked` writes, by their numbers."""
-    folder = _folder_of(out_dir)
-    places = {number: folder / f"{stem}.tif" for number, stem in part_stems(names).items()}
-    return places | {
-        number: folder / stem_of(_split(name)[0]) for number, name in enumerate(names) if _unread_in(name)
-    }
+    return {number: one.place for number, one in _unread(names, out_dir).items()}
 
 
 def _folder_of(out_dir: PathLike) -> Path:
     return Path(f"{os.fspath(out_dir)}_inputs").absolute()
 
 
-def _split(name: str) -> tuple[str, str]:
-    """Return the path of an input, and the bands that follow it after a colon."""
-    path, colon, bands = name.rpartition(":")
-    has_bands = bool(colon) and not part_of_jpeg(name) and not Path(name).exists() and Path(path).exists()
-    return (path, colon + bands) if has_bands else (name, "")
-
-
-def _write(names: Sequence[str], places: dict[int, Path]) -> None:
-    scratch = Scratch()
-    for number, file in enumerate(part_files(names, scratch)):
-        if number not in places:
+def _unread(names: Sequence[str], out_dir: PathLike) -> dict[int, _Unread]:
+    """Return the inputs that are not read where they lie, by their numbers."""
+    folder, stems, inputs = _folder_of(out_dir), part_stems(names), {}
+    for number, name in enumerate(names):
+        if part := part_of_jpeg(name):
+            inputs[number] = _Unread(part[0], "", folder / f"{stems[number]}.tif", [])
             continue
-        if scratch.holds(str(file)):
-            scratch.copy(str(file), places[number].parent, overwrite=True)
-        members = _unread_in(names[number])
+        path, colon, bands = name.rpartition(":")
+        if not colon or Path(name).exists() or not Path(path).exists():
+            path, colon, bands = name, "", ""
+        if members := _unread_in(Path(path)):
+            inputs[number] = _Unread(path, colon + bands, folder / stem_of(path), members)
+    return inputs
+
+
+def _write(names: Sequence[str], inputs: Mapping[int, _Unread]) -> None:
+    scratch = Scratch()
+    files = part_files(names, scratch)
+    for number, (_, _, place, members) in inputs.items():
+        if scratch.holds(str(files[number])):
+            scratch.copy(str(files[number]), place.parent, overwrite=True)
         for tree, member in members:
-            path = tree.unpack(member, places[number]) if tree.prefix else tree.path / member
+            path = tree.unpack(member, place) if tree.prefix else tree.path / member
             if path.name.endswith(_HDF4):
-                HDF4_FILES.write_rasters(path, [name_in(other) for _, other in members], places[number])
+                HDF4_FILES.write_rasters(path, [name_in(other) for _, other in members], place)
                 if tree.prefix:
                     path.unlink()
 
 
-def _is_there(name: str, place: Path) -> bool:
-    """Whether what an input is unpacked to is there, and younger than the input; of HDF4 it is never."""
-    part = part_of_jpeg(name)
-    files = [place] if part else [place / name_in(member) for _, member in _unread_in(name)]
-    try:
-        changed_ns = Path(part[0] if part else _split(name)[0]).stat().st_mtime_ns
-        return all(file.stat().st_mtime_ns >= changed_ns for file in files)
-    except OSError:
-        return False
-
-
-def _unread_in(name: str) -> list[tuple[FileTree, str]]:
+def _unread_in(path: Path) -> list[tuple[FileTree, str]]:
     """Return the files of a product that are not read where they lie: of HDF4, and of HDF5 in archives."""
-    path = Path(_split(name)[0])
     try:
         if HDF4_FILES.has_images([path.name]):
             tree = beside(path)
@@ -114,9 +125,6 @@ def _unread_in(name: str) -> list[tuple[FileTree, str]]:
         if member.lower().endswith(HDF5_ENDINGS if tree.prefix else _HDF4) or member.endswith(_HDF4)
     ]
     names = [name_in(member) for member in members]
-    known = KINDS.ask(lambda kind: any(map(kind.marks, filter(_is_hdf5, names))), bool)
-    return [(tree, member) for member in members] if any(known) or HDF4_FILES.has_images(names) else []
-
-
-def _is_hdf5(name: str) -> bool:
-    return not name.endswith(_HDF4)
+    cubes = [name for name in names if not name.endswith(_HDF4)]
+    is_product = any(KINDS.ask(lambda kind: any(map(kind.marks, cubes)), bool))
+    return [(tree, member) for member in members] if is_product or HDF4_FILES.has_images(names) else []

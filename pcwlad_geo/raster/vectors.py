@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pcwlad_geo.child import child_environment, python_command
 from pcwlad_geo.errors import InputError, TrustError
 from pcwlad_geo.limits import LIMITS
+from pcwlad_geo.raster.trust.file_kinds import SQLITE
 from pcwlad_geo.raster.trust.permissions import current_trust
 from pcwlad_geo.text import check_regular
 from pcwlad_geo.types import PathLike
@@ -28,9 +29,7 @@ from pcwlad_geo.types import PathLike
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top."""
 
-SQLITE_HEAD: Final = b"SQLite format 3\0"
-"""What a GeoPackage begins with."""
-VECTOR_BEGINNINGS: Final = (SQLITE_HEAD, b"\0\0\x27\x0a", b"fgb", b"{")
+VECTOR_BEGINNINGS: Final = (SQLITE, b"\0\0\x27\x0a", b"fgb", b"{")
 """What the files begin with that are read: GeoPackage, Shapefile, FlatGeobuf, GeoJSON. None names others."""
 _CHILD: Final = (
     "sys.modules |= dict.fromkeys(('geopandas', 'pandas', 'pyarrow')); "  # a second to load, and not needed
@@ -72,7 +71,7 @@ def checked_vector(
     try:
         with Path(name).open("rb") as file:
             begin = file.read(16).lstrip(b"\xef\xbb\xbf \t\r\n")
-        if begin.startswith(SQLITE_HEAD):
+        if begin.startswith(SQLITE):
             with sqlite_file(Path(name)):
                 pass  # it holds no view
     except IsADirectoryError:

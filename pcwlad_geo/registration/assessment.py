@@ -9,6 +9,7 @@ import numpy as np
 
 from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.fit import CANDIDATES, LOSSLESS, VRT_MODELS
+from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.estimation.transforms import AffineTransform
@@ -126,7 +127,7 @@ def _concluded(
 ) -> Registration:
     """Return a pair with the correction fitted, or if that is refused with what tells of it alone."""
     registration = replace(
-        conclude(matches),
+        conclude(matches, fitted.correction if decision.accepted else None),
         decision=decision,
         warnings=tuple(log.warnings),
         settings=settings,
@@ -135,18 +136,11 @@ def _concluded(
     )
     if not decision.accepted:
         return registration
-    correction, rpc = fitted.correction, matches.pair.rpc
-    return replace(
-        registration,
-        tie_points=fitted.table,
-        model=correction,
-        accuracy=fitted.accuracy,
-        rpc=corrected_rpc(rpc, correction) if rpc else None,
-    )
+    return replace(registration, tie_points=fitted.table, accuracy=fitted.accuracy)
 
 
-def conclude(matches: Matches) -> Registration:
-    """Return what is known of a pair to which nothing was fitted: matched, or rejected with a reason."""
+def conclude(matches: Matches, correction: Correction | None = None) -> Registration:
+    """Return what is known of a pair: with a correction, or matched only, or rejected with a reason."""
     pair = matches.pair
     grid = at_mean_height(pair.target.grid)
     return Registration(
@@ -158,7 +152,7 @@ def conclude(matches: Matches) -> Registration:
         px_m=pixel_size_m(grid, overlap_middle_px(matches.views, pair.target)),
         prealignment=matches.prealignment,
         tie_points=matches.tie_points,
-        model=None,
+        model=correction,
         accuracy=FitAccuracy(),
         counts=matches.counts,
         seconds=matches.seconds,
@@ -167,7 +161,7 @@ def conclude(matches: Matches) -> Registration:
         motions=matches.motions,
         jitter_px=matches.jitter_px,
         record=matches.record,
-        rpc=corrected_rpc(pair.rpc, None) if pair.rpc else None,
+        rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
         inputs=pair.inputs,
         window_px=matches.window_px if matches.origin is None else matches.origin.window_px,
         origin=matches.origin,

@@ -154,6 +154,7 @@ def _read(source: PointSource) -> PointFile:
     return points_of(Table(path, POINT_COLUMNS, rows))
 
 
-_HEAD: Final = b"SQLite format 3\0"
-GEOPACKAGE: Final = TiePointFormat("geopackage", lambda source: source.head.startswith(_HEAD), _read)
+GEOPACKAGE: Final = TiePointFormat(
+    "geopackage", lambda source: source.head.startswith(b"SQLite format 3\0"), _read
+)
 """The format of tiepoints.gpkg, which a job writes with its report."""

@@ -16,12 +16,11 @@ from pcwlad_geo.matching.pose import search as pose_search
 from pcwlad_geo.matching.pose.ascent import Ascent
 from pcwlad_geo.matching.pose.climb import JointScore
 from pcwlad_geo.matching.pose.comparisons import GreyComparison
-from pcwlad_geo.matching.pose.consensus import Votes, similarity_if_as_good
+from pcwlad_geo.matching.pose.consensus import Votes, grown_homography, similarity_if_as_good, support_of
 from pcwlad_geo.matching.pose.dependence import GreyDependence
 from pcwlad_geo.matching.pose.distances import mean_distance_px
 from pcwlad_geo.matching.pose.frame import Frame
 from pcwlad_geo.matching.pose.grey_search import poses_by_grey_values
-from pcwlad_geo.matching.pose.homographies import grown_homography, support_of
 from pcwlad_geo.matching.pose.image import PoseImage
 from pcwlad_geo.matching.pose.parameters import POSE
 from pcwlad_geo.matching.pose.patch_votes import VotingPatches

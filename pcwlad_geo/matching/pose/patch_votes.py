@@ -15,8 +15,13 @@ from pcwlad_geo.estimation.solving import inverse
 from pcwlad_geo.estimation.transforms import AffineTransform, scale_at, scale_of, square
 from pcwlad_geo.matching.patches import window_sums
 from pcwlad_geo.matching.pose.comparisons import Comparison, StructureComparison
-from pcwlad_geo.matching.pose.consensus import Votes, affine_consensus, similarity_if_as_good
-from pcwlad_geo.matching.pose.homographies import grown_homography, support_of
+from pcwlad_geo.matching.pose.consensus import (
+    Votes,
+    affine_consensus,
+    grown_homography,
+    similarity_if_as_good,
+    support_of,
+)
 from pcwlad_geo.matching.pose.image import PoseImage
 from pcwlad_geo.matching.pose.parameters import PoseParameters
 from pcwlad_geo.matching.pose.proposal import PoseProposal

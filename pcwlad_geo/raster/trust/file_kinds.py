@@ -33,7 +33,8 @@ _SIGNATURES: Final = (
     *(b"EHFA_HEADER_TAG", b"NITF0", b"NSIF0"),
 )
 _CLASSIC_NETCDF: Final = (b"CDF\x01", b"CDF\x02", b"CDF\x05")
-_SQLITE: Final = b"SQLite format 3\0"
+SQLITE: Final = b"SQLite format 3\0"
+"""What a GeoPackage begins with."""
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 _HDF4: Final = b"\x0e\x03\x13\x01"
 MARKS_OF_OTHERS: Final = (b"<GDALTileIndexDataset", b"<GDAL_WMS", b"<MRF_META")
@@ -52,7 +53,7 @@ def kind_of_head(head: bytes) -> Kind:
         return "HDF5"
     if head.startswith(_HDF4):
         return "HDF4"
-    if head.startswith(_SQLITE):
+    if head.startswith(SQLITE):
         return "SQLite"
     if head.startswith(_SIGNATURES) and not any(mark in head for mark in MARKS_OF_OTHERS):
         return "signed"

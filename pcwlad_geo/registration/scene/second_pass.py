@@ -9,16 +9,17 @@ import numpy as np
 
 from pcwlad_geo.events import EventCallback, only_warnings
 from pcwlad_geo.execution.runner import Runner
-from pcwlad_geo.matching import MatchSettings, Scales, TiePoints, guide_by_field
+from pcwlad_geo.matching import FieldGuide, MatchSettings, Scales, TiePoints, guide_by_field
 from pcwlad_geo.matching.calibration import calibrate
 from pcwlad_geo.matching.epipolar import on_their_lines
 from pcwlad_geo.matching.field import Prediction, Surface, predict
-from pcwlad_geo.matching.outliers import consistent_points
+from pcwlad_geo.matching.guidance import GUIDANCE, Predictor
+from pcwlad_geo.matching.lost_candidates import Lost, can_try_again, expect_lost
+from pcwlad_geo.matching.outliers import confirmed, consistent_points
 from pcwlad_geo.matching.second_pass import matched_again
 from pcwlad_geo.registration.motions import other_displacement
 from pcwlad_geo.registration.scene.first_pass import FirstPass, warn_of_failures
 from pcwlad_geo.registration.scene.parameters import SceneContext
-from pcwlad_geo.registration.scene.recovery import retry_candidates
 from pcwlad_geo.registration.scene.windows import choose_windows
 from pcwlad_geo.registration.tiles import rematch_tile
 from pcwlad_geo.types import Bool, Float64, Index
@@ -55,6 +56,19 @@ class SecondPass:
         return replace(self, **{name: getattr(self, name)[mask] for name in names})
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Retry:
+    """Candidates that the second pass tries once more: those without a match, and inconsistent matches."""
+
+    candidates: Lost
+    tile_of: Index
+    """(n,) their tiles."""
+    match_of: Index
+    """(n,) see `SecondPass`."""
+    lost_of: Index
+    """(n,) likewise."""
+
+
 def run_second_pass(
     first: FirstPass,
     matches: TiePoints,
@@ -76,7 +90,7 @@ def run_second_pass(
     other_px = None if other_motion is None else other_motion[0]
     choice = choose_windows(first, points, tile_of, guide, other_px, context)
     scales = choice.scales
-    retry = retry_candidates(first, matches, consistent, guide, matching, predictor) if with_retry else None
+    retry = _retried(first, matches, consistent, guide, matching, predictor) if with_retry else None
     # points of which nothing is new to say need no visit
     rematched = matched_again(guide, matching) | (scales != Scales.of(matching.window.side_px))
     tiles_of_all = [tile_of[rematched]] if retry is None else [tile_of[rematched], retry.tile_of]
@@ -156,3 +170,33 @@ def check_second_pass(
     consistent = np.zeros(len(matches) + np.count_nonzero(~old), bool)
     consistent[index], consistent[len(matches) :] = True, True
     return TiePoints.concatenate([refined, good[~old]]), consistent, second
+
+
+def _retried(
+    first: FirstPass,
+    matches: TiePoints,
+    consistent: Bool,
+    guide: FieldGuide,
+    matching: MatchSettings,
+    predictor: Predictor,
+) -> _Retry | None:
+    """Return what is matched once more; None if the neighbours cannot predict where it lies.
+
+    The (n,) mask `consistent` is of the matches of the first pass.
+    """
+    if np.count_nonzero(consistent) < GUIDANCE.least_points or not can_try_again(matching):
+        return None
+    candidates, off = first.lost, np.flatnonzero(~consistent)
+    places = np.concatenate([candidates.reference_xy_px, matches.reference_xy_px[off]])
+    expected = expect_lost(places, matches[consistent], guide, matching, predictor)
+    predicted = expected.guide.structure_xy_px[len(candidates) :]
+    moving = confirmed(
+        matches.reference_xy_px, matches.displacement_px, off, predicted, matching.window.side_px
+    )
+    selection = np.concatenate([np.ones(len(candidates), bool), ~moving])
+    return _Retry(
+        expected.part(np.flatnonzero(selection)),
+        np.concatenate([first.lost_tile_of, first.tile_of[off]])[selection],
+        np.concatenate([np.full(len(candidates), -1), off])[selection],
+        np.concatenate([np.arange(len(candidates)), np.full(len(off), -1)])[selection],
+    )

@@ -35,8 +35,8 @@ def translated(page: str) -> str:
     for place in range(0, len(parts), 3):
         parts[place] = _spoken(parts[place])
     for place in range(1, len(parts), 3):
-        tag = FIGURE.sub(lambda found: found[1] + _figure(found[2]), parts[place])
-        tag = READ.sub(lambda found: f'{found[1]}="{_spoken(found[2])}"', tag)
+        tag = FIGURE.sub(lambda match: match[1] + _figure(match[2]), parts[place])
+        tag = READ.sub(lambda match: f'{match[1]}="{_spoken(match[2])}"', tag)
         parts[place] = tag.replace(f'lang="{LANGUAGE}"', f'lang="{tr(LANGUAGE)}"')
     return "".join(part for place, part in enumerate(parts) if place % 3 < 2)
 
@@ -56,25 +56,24 @@ def _spoken(text: str) -> str:
 @cache
 def text_of(text: str) -> str:
     """Return a text in the language of QGIS: as a whole, with its values, or the parts that are known."""
-    known = _whole(text)
-    if known is None and (known := _whole(text[:1].lower() + text[1:])):
-        known = known[0].upper() + known[1:]
-    if known is None:
-        known = text
-        for sentence, part in INNER:
-            known = part.sub(lambda found, said=sentence: _filled(said, found), known)
-    return known
+    if (whole := _whole(text)) is not None:
+        return whole
+    if (whole := _whole(text[:1].lower() + text[1:])) is not None:
+        return whole[:1].upper() + whole[1:]
+    for sentence, part in INNER:
+        text = part.sub(lambda match, sentence=sentence: _filled(sentence, match), text)
+    return text
 
 
 def _whole(text: str) -> str | None:
     if text in WHOLE:
         return tr(text)
     matches = ((sentence, whole.fullmatch(text)) for sentence, whole in PATTERNS)
-    return next((_filled(sentence, found) for sentence, found in matches if found), None)
+    return next((_filled(sentence, match) for sentence, match in matches if match), None)
 
 
-def _filled(sentence: str, found: re.Match[str]) -> str:
-    return tr(sentence).format(*map(text_of, found.groups()))
+def _filled(sentence: str, match: re.Match[str]) -> str:
+    return tr(sentence).format(*map(text_of, match.groups()))
 
 
 WHOLE = {sentence for sentence in PAGE if "{}" not in sentence}
