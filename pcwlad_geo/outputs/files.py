@@ -267,7 +267,9 @@ OUTPUTS: Final = (
     Output(
         "raster", "{stem}_registered.{ending}", _CORRECTED, "the target warped onto the output grid", _raster
     ),
-    Output("sigma", "{stem}_sigma.tif", _SIGMA, "the predicted sigma of the correction", _sigma),
+    Output(
+        "sigma", "{stem}_sigma.tif", _SIGMA, "sigma of the correction, px, and where it extrapolates", _sigma
+    ),
     Output(
         "displacement",
         "{stem}_displacement.tif",
