@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
-from pcwlad_geo.errors import InputError
+from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import LIMITS
 
 if TYPE_CHECKING:
@@ -146,6 +146,8 @@ def mismatch(value: object, kind: type) -> str | None:
         _adapter(kind).validate_json(text, strict=True)
     except ValidationError as error:
         return next((reason for reason, is_missing in _reasons(error) if not is_missing), None)
+    except SettingsError as error:
+        return str(error)
     return None
 
 
@@ -163,6 +165,8 @@ def typed(value: object, kind: type[T], written: type | None = None) -> T:
         result: T = _adapter(cast(type, kind)).validate_python(value)
     except ValidationError as error:
         raise ValueError(next(reason for reason, _ in _reasons(error))) from error
+    except SettingsError as error:
+        raise ValueError(str(error)) from error
     return result
 
 

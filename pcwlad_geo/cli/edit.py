@@ -12,18 +12,17 @@ import queue
 import sys
 import threading
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
 from pcwlad_geo.cli import options as o
 from pcwlad_geo.cli.progress import protocol_stream
 from pcwlad_geo.cli.warp import Folder
-from pcwlad_geo.errors import InputError, PcwladGeoError, SettingsError
-from pcwlad_geo.option_text import to_setting
-from pcwlad_geo.options import Settings
+from pcwlad_geo.errors import InputError, PcwladGeoError
+from pcwlad_geo.options import NOT_IN_TABLES, Settings
 from pcwlad_geo.raster import Trust, trusting
 from pcwlad_geo.text import joined, parse_json, plain, typed
 
@@ -33,8 +32,8 @@ if TYPE_CHECKING:
 
 QUICK: Final = ("shift", "affine", "projective", "polynomial2", "tps")
 """Models that are fitted besides the one asked for, while no request waits."""
-NOT_TAKEN: Final = ("allow_remote", "trust_vrt", "scheduler", "jobs", "tie_points", "require")
-"""Settings of the registration that do not hold here: the first two are yours alone to give."""
+NOT_TAKEN: Final = (*NOT_IN_TABLES, "tie_points", "require")
+"""Settings of the registration that do not hold here: what may be opened is yours alone to say."""
 SHOWN: Final = 300
 """Largest length of what an answer repeats of a request."""
 Place = tuple[float, float]
@@ -105,30 +104,18 @@ def _open(folder: Path, *, allow_remote: bool = False, trust_vrt: bool = False) 
     from pcwlad_geo.raster import Bands
     from pcwlad_geo.registration import prepare_pair
     from pcwlad_geo.registration.editing import Editor
-    from pcwlad_geo.report.finished import ReadReport
-    from pcwlad_geo.report.read_figures import read_report
+    from pcwlad_geo.report.finished import ReadReport, read_saved
 
-    content = read_report(folder)
-    if content.get("status") != "registered":
-        raise InputError(f"{folder} holds no finished registration: give the output folder of register")
-    try:
-        report = typed(content, ReadReport)
-        options = {
-            name: to_setting(name, value)
-            for name, value in report.settings.items()
-            if name not in NOT_TAKEN and value is not None
-        }
-        for name in ("ref_band", "tgt_band"):  # a product's bands are its files here
-            options[name] = options[name] if Bands.of_file("", str(options[name])) else 1
-        settings = Settings.from_options(options | {"allow_remote": allow_remote, "trust_vrt": trust_vrt})
-        model = str((report.model or {})["name"])
-    except (KeyError, ValueError, SettingsError) as error:
-        message = f"{type(error).__name__}: {joined(error)}"
-        raise InputError(
-            f"{folder} has a damaged report.json ({message}): register the pair again"
-        ) from error
-    reference, target = report.reference.path, report.target.path
-    return Editor(prepare_pair(reference, target, settings), folder / "tiepoints.csv"), model
+    place, report = read_saved(folder)
+    if not isinstance(report, ReadReport):
+        raise InputError(f"{place} is a saved correction: give the output folder of register")
+    options: Any = {name: getattr(Settings(), name) for name in NOT_TAKEN}
+    for name in ("ref_band", "tgt_band"):  # a product's bands are its files here
+        band = getattr(report.settings, name)
+        options[name] = band if Bands.of_file("", str(band)) else 1
+    options |= {"allow_remote": allow_remote, "trust_vrt": trust_vrt}
+    pair = prepare_pair(report.reference.path, report.target.path, replace(report.settings, **options))
+    return Editor(pair, place.parent / "tiepoints.csv"), report.model.name
 
 
 def _serve(editor: Editor, tell: Tell) -> None:

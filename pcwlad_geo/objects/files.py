@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.models import Correction as Model
 from pcwlad_geo.correction.precision import SigmaLattice
-from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.registration import CorrectedRpc, Quality
 from pcwlad_geo.report.correction_file import (
@@ -19,8 +17,8 @@ from pcwlad_geo.report.correction_file import (
     CorrectionModelEntry,
     SigmaEntry,
 )
-from pcwlad_geo.report.finished import FinishedRegistration, grid_entry, output_of
-from pcwlad_geo.report.fitted_again import FittedAgain, read_evidence
+from pcwlad_geo.report.finished import FinishedRegistration, ReadReport, grid_entry, output_of
+from pcwlad_geo.report.fitted_again import FittedAgain, evidence_of
 from pcwlad_geo.report.json_content import filled, rounded, versions
 from pcwlad_geo.tiepoints.correction_points import CORRECTION_VERSION, PointColumns
 from pcwlad_geo.tiepoints.table import TiePointTable
@@ -63,7 +61,7 @@ def parts_of(path: Path, file: CorrectionFile) -> dict[str, Any]:
     Raises `InputError` if one of them is damaged.
     """
     try:
-        parts: dict[str, Any] = {"model": from_dict({"name": file.model.name, "forward": file.model.forward})}
+        parts: dict[str, Any] = {"model": file.model.correction()}
         if file.sigma is not None:
             parts["precision"] = file.sigma.lattice()
         if file.accuracy is not None and file.quality is not None:
@@ -75,11 +73,9 @@ def parts_of(path: Path, file: CorrectionFile) -> dict[str, Any]:
         raise InputError(f"{path} is damaged ({error}): save the correction again") from error
 
 
-def parts_of_folder(
-    folder: Path, report: Mapping[str, Any], registration: FinishedRegistration
-) -> dict[str, Any]:
+def parts_of_folder(folder: Path, report: ReadReport, registration: FinishedRegistration) -> dict[str, Any]:
     """Return model, precision, evidence and tie points that the folder of a registration tells, by name."""
-    parts = {"model": registration.correction, "evidence": read_evidence(report)}
+    parts: dict[str, Any] = {"model": registration.correction, "evidence": evidence_of(report)}
     with suppress(InputError):  # their file is elsewhere, or was changed
         again = FittedAgain.read(folder, registration)
         parts |= {"precision": again, "points": again.points}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -36,11 +35,9 @@ from pcwlad_geo.registration import (
     register_pair,
 )
 from pcwlad_geo.registration.rpc import check_model
-from pcwlad_geo.report.correction_file import correction_file, is_correction_file
-from pcwlad_geo.report.finished import FinishedRegistration, of_file, read_registration
-from pcwlad_geo.report.read_figures import read_report
+from pcwlad_geo.report.correction_file import CorrectionFile
+from pcwlad_geo.report.finished import FinishedRegistration, of_file, of_report, read_saved
 from pcwlad_geo.requirements import parse_requirements
-from pcwlad_geo.text import read_json
 from pcwlad_geo.types import PathLike
 
 if TYPE_CHECKING:
@@ -344,23 +341,13 @@ def load(path: PathLike) -> Correction:
     InputError
         If the file is no correction, was edited, is damaged or of another version; it says what to do.
     """
-    place = Path(path)
-    content: Any = None
-    if os.path.isfile(place):  # noqa: PTH113 (Path.is_file raises for a name that no file can have)
-        try:
-            content = read_json(place)
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"{place} is no JSON, or cut off ({error}): save the correction again, or give the output "
-                "folder of pcwlad-geo register"
-            ) from error
-    if not is_correction_file(content):
-        finished = read_registration(place)
-        parts = parts_of_folder(place, content or read_report(place), finished)
-        pair: FinishedRegistration | None = finished
+    place, saved = read_saved(path)
+    pair: FinishedRegistration | None
+    if isinstance(saved, CorrectionFile):
+        parts, pair = parts_of(place, saved), None if saved.reference is None else of_file(place, saved)
     else:
-        file = correction_file(place, content)
-        parts, pair = parts_of(place, file), None if file.reference is None else of_file(place, file)
+        pair = of_report(place, saved)
+        parts = parts_of_folder(place, saved, pair)
     if parts.get("points") is not None:
         parts["points"] = TiePoints.of(parts["points"])
     if pair is not None:

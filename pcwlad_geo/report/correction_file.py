@@ -11,7 +11,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from pcwlad_geo.correction.error_statistics import Accuracy
+from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.precision import SigmaLattice
+from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.options import OutputGrid, Resampling
 from pcwlad_geo.raster import FileIdentity, RpcModel
@@ -34,6 +36,10 @@ class CorrectionModelEntry:
     name: str
     forward: Annotated[Mapping[str, object], ("required", ["type"])]
     """What maps predicted to observed target px (col, row)."""
+
+    def correction(self) -> Correction:
+        """Return the correction; raises `InputError` if this describes none."""
+        return from_dict({"name": self.name, "forward": self.forward})
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,12 +12,12 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
+from pcwlad_geo.correction.error_statistics import Accuracy
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.precision import Precision
-from pcwlad_geo.correction.reading import from_dict
 from pcwlad_geo.errors import InputError, SettingsError
 from pcwlad_geo.limits import check_geotransform, check_shape
-from pcwlad_geo.options import OutputGrid, Resampling
+from pcwlad_geo.options import Resampling, Settings
 from pcwlad_geo.raster import (
     Dem,
     FileIdentity,
@@ -32,14 +32,14 @@ from pcwlad_geo.raster.rpc.planning import ground_grid
 from pcwlad_geo.registration import (
     CorrectedRpc,
     Registration,
-    RegistrationStatus,
     RpcRegistration,
     requested_grid,
 )
 from pcwlad_geo.registration.inputs import grid_request
-from pcwlad_geo.report.content import SCHEMA_VERSION, GridEntry, Report, RpcEntry
+from pcwlad_geo.report.content import SCHEMA_VERSION, GridEntry, QualityEntry, Report, RpcEntry
 from pcwlad_geo.report.correction_file import (
     CorrectionFile,
+    CorrectionModelEntry,
     OutputEntry,
     correction_file,
     is_correction_file,
@@ -63,38 +63,20 @@ class ReadRaster(GridEntry):
 
 
 @dataclass(frozen=True, slots=True)
-class ReadSettings:
-    """The settings of a registration that say how its correction is applied."""
-
-    resampling: Resampling
-    grid: OutputGrid
-    trust_rpc: bool = False
-    like: str | None = None
-    tr: tuple[float, float] | None = None
-    te: tuple[float, float, float, float] | None = None
-    t_srs: str | None = None
-    of: str = "COG"
-    co: tuple[str, ...] = ()
-    keep: bool = False
-    place: tuple[float, float, float, float, float, float] | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class ReadReport:
-    """What is read back of a report.json."""
+    """What is read back of the report.json of a finished registration."""
 
-    status: RegistrationStatus
     reference: ReadRaster
     target: ReadRaster
-    settings: Mapping[str, object]
-    """By option name, as they are written."""
-    model: Mapping[str, object] | None = None
-    """The correction, as `from_dict` takes it."""
+    settings: Settings
+    model: CorrectionModelEntry
+    accuracy: Mapping[str, Mapping[str, Accuracy | None]] = field(default_factory=dict)
+    quality: QualityEntry | None = None
     passed: bool | None = None
     requirements: tuple[ReadRequirement, ...] = ()
     output_grid: GridEntry | None = None
     rpc: RpcEntry | None = None
-    inputs: tuple[FileIdentity, ...] | None = None
+    inputs: tuple[FileIdentity, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,26 +106,45 @@ def read_registration(folder: str | os.PathLike[str]) -> FinishedRegistration:
     Raises `InputError` if there is no report.json of a finished registration, or the registration does not
     meet its requirements and was made without `keep`.
     """
+    path, saved = read_saved(folder)
+    return of_file(path, saved) if isinstance(saved, CorrectionFile) else of_report(path, saved)
+
+
+def read_saved(folder: str | os.PathLike[str]) -> tuple[Path, CorrectionFile | ReadReport]:
+    """Read a saved correction, or the report.json of a folder; the path is that of the file.
+
+    Raises `InputError` if it is neither, damaged, or of a pair that was not registered.
+    """
     path = Path(folder)
     path = path / REPORT_FILE if is_folder(path) else path
     content = _content(path)
     if is_correction_file(content):
-        return of_file(path, correction_file(path, content))
+        return path, correction_file(path, content)
     try:
-        report = typed(content, ReadReport)
-        settings = typed(report.settings, ReadSettings)
-        _check_requirements(path, report, settings)
+        return path, typed(content, ReadReport)
+    except ValueError as error:
+        raise InputError(f"{path} is damaged ({joined(error)}): register the pair again") from error
+
+
+def of_report(path: Path, report: ReadReport) -> FinishedRegistration:
+    """Return the registration that a report.json tells of.
+
+    Raises `InputError` if it is damaged, or does not meet its requirements and was made without `keep`.
+    """
+    settings = report.settings
+    _check_requirements(path, report)
+    try:
         return FinishedRegistration(
-            correction=from_dict(report.model or {}),
+            correction=report.model.correction(),
             reference_grid=_grid(path, report.reference.ground or report.reference),
             target_grid=replace(_grid(path, report.target), by_hand=settings.place is not None),
-            request=_request(path, report, settings),
+            request=_request(path, report),
             fmt=OutputFormat.of(settings.of, settings.co),
             resampling=settings.resampling,
             rpc=_rpc(report.rpc, report.target, settings) if report.rpc else None,
-            inputs=report.inputs or (),
+            inputs=report.inputs,
         )
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, CRSError, SettingsError) as error:
+    except (TypeError, ValueError, OverflowError, CRSError, SettingsError) as error:
         raise InputError(
             f"{path} is damaged ({type(error).__name__}: {joined(error)}): register the pair again"
         ) from error
@@ -164,7 +165,7 @@ def of_file(path: Path, file: CorrectionFile) -> FinishedRegistration:
         crs = None if output.t_srs is None else CRS.from_string(output.t_srs)
         like = None if output.like is None else _grid(path, output.like)
         return FinishedRegistration(
-            correction=from_dict({"name": file.model.name, "forward": file.model.forward}),
+            correction=file.model.correction(),
             reference_grid=_grid(path, file.reference),
             target_grid=_grid(path, file.target),
             request=GridRequest(output.grid, like, output.tr, output.te, crs),
@@ -244,7 +245,8 @@ def _content(path: Path) -> Mapping[str, Any]:
         ) from error
     except ValueError as error:
         raise InputError(
-            f"{path} is no JSON ({error}): give the output folder of pcwlad-geo register"
+            f"{path} is no JSON, or cut off ({error}): save the correction again, or give the output folder "
+            "of pcwlad-geo register"
         ) from error
     if is_correction_file(report):
         return report  # type: ignore[no-any-return]  # a dict
@@ -268,9 +270,9 @@ def _content(path: Path) -> Mapping[str, Any]:
     return report
 
 
-def _check_requirements(path: Path, report: ReadReport, settings: ReadSettings) -> None:
+def _check_requirements(path: Path, report: ReadReport) -> None:
     """Raise if the registration has no corrected raster because it does not meet its requirements."""
-    if report.passed is not False or settings.keep:
+    if report.passed is not False or report.settings.keep:
         return
     missed = "; ".join(requirement.message for requirement in report.requirements if not requirement.met)
     raise InputError(
@@ -279,14 +281,15 @@ def _check_requirements(path: Path, report: ReadReport, settings: ReadSettings) 
     )
 
 
-def _request(path: Path, report: ReadReport, settings: ReadSettings) -> GridRequest:
+def _request(path: Path, report: ReadReport) -> GridRequest:
     """Return the requested output grid; a raster that defined it is not needed again."""
+    settings = report.settings
     if settings.like is not None and report.output_grid is not None:
         return GridRequest(like=_grid(path, report.output_grid))
     return grid_request(settings.grid, None, settings.tr, settings.te, settings.t_srs)
 
 
-def _rpc(rpc: RpcEntry, target: ReadRaster, settings: ReadSettings) -> CorrectedRpc:
+def _rpc(rpc: RpcEntry, target: ReadRaster, settings: Settings) -> CorrectedRpc:
     if rpc.corrected is None:
         raise ValueError("it has no corrected RPC")
     return CorrectedRpc(

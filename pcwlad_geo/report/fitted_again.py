@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,17 +10,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from pcwlad_geo.correction.error_statistics import Accuracy, FitAccuracy
+from pcwlad_geo.correction.error_statistics import FitAccuracy
 from pcwlad_geo.correction.fit import MODELS
 from pcwlad_geo.correction.models import Correction
 from pcwlad_geo.correction.selection import Selection, choose
 from pcwlad_geo.errors import InputError
 from pcwlad_geo.raster import Grid, is_folder, middle_pixel_size_m
 from pcwlad_geo.registration import Quality, Reason
-from pcwlad_geo.report.content import QualityEntry
-from pcwlad_geo.report.finished import FinishedRegistration
+from pcwlad_geo.report.finished import FinishedRegistration, ReadReport
 from pcwlad_geo.report.read_figures import read_figures
-from pcwlad_geo.text import typed
 from pcwlad_geo.tiepoints.readers import read_point_file
 from pcwlad_geo.tiepoints.table import TiePointTable
 from pcwlad_geo.types import Float64
@@ -102,24 +99,21 @@ class FittedAgain:
         return self.selection.sigma(at_px)
 
 
-@dataclass(frozen=True, slots=True)
-class _ReadEvidence:
-    accuracy: Mapping[str, Mapping[str, Accuracy | None]]
-    quality: QualityEntry
-
-
-def read_evidence(report: Mapping[str, Any]) -> tuple[FitAccuracy, Quality]:
+def evidence_of(report: ReadReport) -> tuple[FitAccuracy, Quality] | None:
     """Return accuracy and quality of a finished registration as its report.json tells them, rounded.
 
-    It tells the grade of the worst reason alone, and of what an extent leaves out only the whole.
+    It tells the grade of the worst reason alone, and of what an extent leaves out only the whole. None if it
+    does not tell the quality.
     """
-    evidence = typed(report, _ReadEvidence)
+    quality = report.quality
+    if quality is None:
+        return None
     units = (
         (f"{group}_{unit}", accuracy)
-        for group, by in evidence.accuracy.items()
+        for group, by in report.accuracy.items()
         for unit, accuracy in by.items()
     )
-    quality, whole = evidence.quality, evidence.quality.whole_ce90_px
+    whole = quality.whole_ce90_px
     return FitAccuracy({name: accuracy for name, accuracy in units if accuracy is not None}), Quality(
         grade=quality.grade,
         reasons=tuple(Reason(quality.grade, text) for text in quality.reasons),

@@ -142,9 +142,11 @@ def changed_grid(side: str, **changes: object) -> Callable[[dict[str, Any]], obj
 DAMAGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda report: {"report": 1}, "not written by pcwlad-geo"),
     (lambda report: report | {"schema_version": 99}, "schema version 99"),
-    (lambda report: report | {"model": {"name": "magic"}}, "no correction model"),
+    (lambda report: report | {"model": {"name": "magic"}}, "damaged .model.forward: "),
+    (lambda report: report | {"model": {"name": "x", "forward": {"type": "magic"}}}, "no correction model"),
+    (lambda report: report | {"settings": {"window": 3}}, "damaged .window = 3: give an odd number"),
     (lambda report: report | {"target": {}}, "damaged"),
-    (lambda report: report | {"model": None}, "no correction model"),
+    (lambda report: report | {"model": None}, "damaged .model: "),
     (changed_grid("target", transform=[1, 1, 0, 1, 1, 0]), "without an inverse"),
     (changed_grid("target", transform=[0] * 6), "without an inverse"),
     (changed_grid("reference", transform=[float("nan")] * 6), "no finite number"),
