@@ -59,9 +59,7 @@ class FittedInMetres:
 
     def covariance_m2(self, predicted_px: Float64) -> Float64:
         """Return the (n, 2, 2) covariance (col, row) at the (n, 2) `predicted_px`, m²."""
-        sizes_m = pixel_sizes_m(self.target, predicted_px)
-        if sizes_m is None:
-            raise InputError("sigma_m is not known without a CRS: leave it out")
+        sizes_m = _sizes_m(self.target, predicted_px)
         return self.selection.covariance(predicted_px) * sizes_m[:, :, None] * sizes_m[:, None, :]
 
     def sigma_m(self, predicted_px: Float64) -> Float64:
@@ -93,10 +91,15 @@ class InMetres:
 
     def sigma_m(self, predicted_px: Float64) -> Float64:
         """Return the (n,) standard deviation along an axis, metres, at the (n, 2) `predicted_px`."""
-        sizes_m = pixel_sizes_m(self.target, predicted_px)
-        if sizes_m is None:
-            raise InputError("sigma_m is not known without a CRS: leave it out")
-        return np.asarray(np.sqrt(((self.of.sigma(predicted_px) * sizes_m) ** 2).mean(axis=1)))
+        sigma_m = self.of.sigma(predicted_px) * _sizes_m(self.target, predicted_px)
+        return np.asarray(np.sqrt((sigma_m**2).mean(axis=1)))
+
+
+def _sizes_m(target: Grid, predicted_px: Float64) -> Float64:
+    sizes_m = pixel_sizes_m(target, predicted_px)
+    if sizes_m is None:
+        raise InputError("sigma_m is not known without a CRS: leave it out")
+    return sizes_m
 
 
 def in_metres(precision: Precision, target: Grid) -> SigmaInMetres:

@@ -95,12 +95,12 @@ def _match_corners(
             pair.channels, corners[part], start, settings, settings.backward
         )
         valid = on_valid_target(pair.channels, corners[part], refined.shift_xy_px)
-        rejected = {
+        failed = {
             "not_converged": ~refined.converged,
             "directions_disagree": ~agree,
             "not_comparable": ~valid,
         }
-        outcome[part] = _outcome({**rejected, "not_comparable": ~valid})
+        outcome[part] = _outcome(failed)
         points = points_at(corners[part], refined, score[part], forward_backward)
         good = refined.converged & agree & valid
         return points[good], good

@@ -65,7 +65,8 @@ def write_proj_grid(
     while True:
         place, shape = _nodes(target, spacing_px, parameters.margin_px)
         offsets = _offsets(move, target, _positions(place, shape))
-        halfway = _offsets(move, target, _positions(place @ Affine.translation(0.5, 0.5), _less(shape)))
+        fewer = shape[0] - 1, shape[1] - 1
+        halfway = _offsets(move, target, _positions(place @ Affine.translation(0.5, 0.5), fewer))
         values = offsets.reshape(*shape, 2)
         between = (values[:-1, :-1] + values[:-1, 1:] + values[1:, :-1] + values[1:, 1:]) / 4
         error = np.abs(halfway.reshape(between.shape) - between) / _pixel_size(target)
@@ -120,10 +121,6 @@ def _nodes(target: Grid, spacing_px: float, margin_px: float) -> tuple[Affine, t
     count = np.maximum(np.ceil((xy.max(axis=0) - xy.min(axis=0)) / step).astype(int) + 1, 2)
     place = Affine(float(step[0]), 0, float(xy[:, 0].min()), 0, -float(step[1]), float(xy[:, 1].max()))
     return place, (int(count[1]), int(count[0]))
-
-
-def _less(shape: tuple[int, int]) -> tuple[int, int]:
-    return shape[0] - 1, shape[1] - 1
 
 
 def _positions(place: Affine, shape: tuple[int, int]) -> Float64:

@@ -103,13 +103,10 @@ def stac_item(
             for key, asset in assets.items()
         },
     }
-    names = {name.partition(":")[0] for fields in _field_sets(item) for name in fields}
+    field_sets = [item["properties"], *item["assets"].values()]
+    names = {name.partition(":")[0] for fields in field_sets for name in fields}
     item["stac_extensions"] = [url for prefix, url in EXTENSIONS.items() if prefix in names]
     return item
-
-
-def _field_sets(item: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    return [item["properties"], *item["assets"].values()]
 
 
 def _file_info(file: Path | None) -> dict[str, Any]:

@@ -59,7 +59,9 @@ def temperatures_k(path: str, maker: Maker) -> Float32:
     Raises `InputError` if the reader of its maker cannot read them.
     """
     try:
-        values = _of_dji(path) if maker == "DJI" else _of_flir(path)
+        values = (
+            _of_dji(path) if maker == "DJI" else np.ascontiguousarray(unpacked_flir(path).kelvin, np.float32)
+        )
     except Exception as error:  # of any kind: readers of others, on files of strangers
         raise InputError(f"the temperatures of {path} cannot be read: {error}") from error
     if values.ndim != 2 or not np.isfinite(values).all():
@@ -70,10 +72,6 @@ def temperatures_k(path: str, maker: Maker) -> Float32:
 def unpacked_flir(path: str) -> Any:  # noqa: ANN401  # flyr has its own types
     """Return what flyr reads of a JPEG: kelvin, optical, pip_info; raises errors of any kind."""
     return import_module(FLYR).unpack(path)
-
-
-def _of_flir(path: str) -> Float32:
-    return np.ascontiguousarray(unpacked_flir(path).kelvin, np.float32)
 
 
 class _Resolution(ctypes.Structure):

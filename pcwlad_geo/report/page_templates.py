@@ -53,10 +53,6 @@ def _source(environment: Environment, name: str) -> Markup:
     return Markup(environment.loader.get_source(environment, name)[0])
 
 
-def _svg(text: str) -> str:
-    return data_uri("image/svg+xml", text.encode())
-
-
 def _jpeg(image: NDArray[np.uint8], quality: int = 82) -> str:
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "jpeg", quality=quality)
@@ -95,5 +91,5 @@ def templates_of(package: str) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["svg"] = _svg
+    environment.filters["svg"] = lambda text: data_uri("image/svg+xml", text.encode())
     return environment

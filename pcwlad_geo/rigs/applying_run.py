@@ -127,7 +127,8 @@ def rig_apply(
                 names = _names(model, capture, plan)
                 digest = _digest(model, capture, names)
                 earlier = before.get(capture.name)
-                if not overwrite and earlier and earlier[0] == digest and _are_there(folder, names):
+                are_there = all((folder / name).is_file() for name in names)
+                if not overwrite and earlier and earlier[0] == digest and are_there:
                     outcomes.append(replace(earlier[1], done_before=True))
                     continue
                 path = str(stage / (names[0] if plan is None else plain_name(capture.name)))
@@ -325,10 +326,6 @@ def _finished_before(folder: Path) -> dict[str, tuple[str, CaptureOutcome]]:
         for entry in before.captures
         if entry.status == "corrected"
     }
-
-
-def _are_there(folder: Path, names: Sequence[str]) -> bool:
-    return all((folder / name).is_file() for name in names)
 
 
 def _write_summary(

@@ -235,7 +235,7 @@ class _Net:
         """
         ab, bc, ac = (side.points for side in sides)
         of_ab_px, of_bc_px, of_ac_px, of_ac_in_a_px = (
-            _typical_reach_px(points_px, min_neighbours)
+            float(np.median(_reach_px(points_px, points_px, min_neighbours)))
             for points_px in (ab.reference_px, bc.predicted_px, ac.predicted_px, ac.reference_px)
         )
         reach_px = np.array([of_ab_px * (of_ac_px / of_ac_in_a_px), of_bc_px, of_ac_px])
@@ -246,10 +246,6 @@ class _Net:
         squares = np.array(list(means), np.intp).reshape(-1, 2)
         places_px = np.array([cell.mean_px for cell in means.values()]).reshape(-1, 2)
         return _Net(squares, places_px, (to_b, from_b, direct))
-
-
-def _typical_reach_px(points_px: Float64, neighbours: int) -> float:
-    return float(np.median(_reach_px(points_px, points_px, neighbours)))
 
 
 def _reach_px(points_px: Float64, at_px: Float64, neighbours: int) -> Float64:

@@ -18,7 +18,6 @@ from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.options import Settings
 from pcwlad_geo.products.finding import find_product
 from pcwlad_geo.products.names import BAND_OF, PICTURES, RASTERS, cubes_of, date_in, rasters_of
-from pcwlad_geo.products.product import Product
 from pcwlad_geo.products.stac import mask_of, names_of, raster_assets, uri_of
 from pcwlad_geo.raster import Bands, RasterInfo, describe, file_name, is_folder, plain_name
 from pcwlad_geo.text import is_uri, read_json, read_text, whole
@@ -90,7 +89,7 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
             yield from (_of_row(row, place.parent, band) for row in read_table(place, ("image",)))
         elif image.casefold().endswith((".json", ".geojson")):
             yield from _of_stac(place, band)
-        elif len(products) == 1 and image in products and _is_many_images(products[image], band):
+        elif [*products] == [image] and not (isinstance(band, str) or products[image].of_one_file):
             yield from (_named(image, product_band.name) for product_band in products[image].showing_ground())
         elif is_folder(place) and image not in products:
             files = rasters_of(place) or [file for file in cubes_of(place) if find_product(file)]
@@ -104,11 +103,6 @@ def listed(images: Sequence[PathLike], band: int | str) -> Iterator[StackInput]:
             )
         else:
             yield _named(image, band)
-
-
-def _is_many_images(product: Product, band: int | str) -> bool:
-    """Whether a product without a name of a band has its bands in files of their own."""
-    return not isinstance(band, str) and not product.of_one_file
 
 
 def _has_band(file: str, band: int | str) -> bool:
