@@ -18,7 +18,7 @@ BAND_OF: Final = re.compile(
     r"(?P<scene>.+?)_(?:(?:SR|ST)_)?(?P<band>B(?:\d{1,2}|8A))(?:_VCID_\d|_\d\dm)?", re.IGNORECASE
 )
 """File name, without its suffix, of a band of a product."""
-DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2([0-2]\d|3[01])(?!\d)")
+DATE: Final = re.compile(r"(?<!\d)((?:19|20)\d\d)([-_]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])(?!\d)")
 """A date in a name."""
 _DAY_OF_YEAR: Final = re.compile(
     r"(?<!\d)((?:19|20)\d\d(?:[0-2]\d\d|3[0-5]\d|36[0-6]))(?:T\d{6}|\.\d{4})(?!\d)"

@@ -202,10 +202,10 @@ def match_tile(job: TileJob) -> TileResult:
     return TileResult(
         job.id,
         "matched" if len(points) else "empty",
-        points.shifted(*_origins(job)),
+        points.shifted(*origins_of(job)),
         candidates.counts,
         None,
-        candidates.lost.shifted(_origins(job)[0]),
+        candidates.lost.shifted(origins_of(job)[0]),
         first_only=not candidates.are_all,
     )
 
@@ -223,7 +223,7 @@ def rematch_tile(
         return TileResult(job.id, "failed", points, {}, str(error))
     if channels is None:
         return TileResult(job.id, "empty", points, {}, "no valid pixels")
-    reference_origin, target_origin = _origins(job)
+    reference_origin, target_origin = origins_of(job)
     inside = points.shifted(-reference_origin, -target_origin)
     # shifts inside the arrays do not include the offset between the two windows
     between = target_origin - reference_origin
@@ -270,7 +270,7 @@ def _compared(
         return nothing
     if job.kept_bytes:
         _CACHE.keep(job.scene, job.id, channels, job.kept_bytes, alone=job.core == job.region)
-    reference_origin, target_origin = _origins(job)
+    reference_origin, target_origin = origins_of(job)
     between = target_origin - reference_origin
     inside = points.shifted(-reference_origin, -target_origin)
     return see(channels, inside, guide.moved(-between)) + between
@@ -297,6 +297,7 @@ def _stacks(job: TileJob) -> ChannelPair | None:
     return None if pair is None else pair.channels
 
 
-def _origins(job: TileJob) -> tuple[Float64, Float64]:
+def origins_of(job: TileJob) -> tuple[Float64, Float64]:
+    """Return the (2,) corners (col, row) of the arrays of a tile, reference and target view px."""
     reference = np.array([job.window.col, job.window.row], np.float64)
     return reference, reference + job.target_offset_px

@@ -17,9 +17,10 @@ from pcwlad_geo.errors import InputError, OutputError
 from pcwlad_geo.events import Event, Warned
 from pcwlad_geo.limits import LIMITS
 from pcwlad_geo.multi.qa.numbers import summarise
-from pcwlad_geo.multi.watch.dates import date_in, without_dates
+from pcwlad_geo.multi.watch.dates import without_dates
 from pcwlad_geo.multi.watch.trend import trend
 from pcwlad_geo.multi.watch.trend_page import has_risen
+from pcwlad_geo.products.names import date_in
 from pcwlad_geo.report.json_content import to_json
 from pcwlad_geo.report.summary import summarise as summarise_registration
 from tests.multi.measured_bands import make_band, make_pair
@@ -194,6 +195,8 @@ def test_an_earlier_trend_is_not_overwritten_unasked(tmp_path: Path) -> None:
         ("b10", None, "b10"),
         ("x_12345678", None, "x_12345678"),
         ("id120210304", None, "id120210304"),
+        ("x_20200100", None, "x"),
+        ("VNP02IMG.A2021063.1200", "2021-03-04", "VNP02IMG.A2021063.1200"),
     ],
 )
 def test_dates_in_names(name: str, date: str | None, without: str) -> None:

@@ -6,9 +6,6 @@ import re
 from datetime import datetime, timezone
 from typing import Final
 
-_DATE: Final = re.compile(
-    r"(?<!\d)((?:19|20)\d\d)(-?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])(?:T\d{6})?(?!\d)"
-)
 _ANY_DATE: Final = re.compile(
     r"(?:^|[_\-. ])(?:(?:19|20)\d{6}(?:T\d{6})?|(?:19|20)\d\d-\d\d-\d\d)(?=$|[_\-. ])"
 )
@@ -16,12 +13,6 @@ YEAR_S: Final = 365.25 * 86400
 """Length of a year, s."""
 FIRST_YEAR, LAST_YEAR = 1900, 2200
 """Years in which an image may have been taken."""
-
-
-def date_in(name: str) -> str | None:
-    """Return the first date in a file name, ISO 8601: acquisition dates precede processing dates."""
-    match = _DATE.search(name)
-    return f"{match[1]}-{match[3]}-{match[4]}" if match else None
 
 
 def without_dates(name: str) -> str:

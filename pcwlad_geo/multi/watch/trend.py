@@ -15,9 +15,10 @@ from pcwlad_geo.events import EventCallback, Progress, Warned, ignore
 from pcwlad_geo.limits import LIMITS, check_count
 from pcwlad_geo.multi.pages import write_texts
 from pcwlad_geo.multi.qa.numbers import QaNumbers
-from pcwlad_geo.multi.watch.dates import date_in, seconds_of, without_dates
+from pcwlad_geo.multi.watch.dates import seconds_of, without_dates
 from pcwlad_geo.multi.watch.trend_page import Moment, PairSeries, Trend, render
 from pcwlad_geo.outputs.folder import OutputFolder
+from pcwlad_geo.products.names import date_in
 from pcwlad_geo.raster import file_name
 from pcwlad_geo.report.read_figures import read_figures
 from pcwlad_geo.text import csv_of, read_json, typed

@@ -13,8 +13,9 @@ from pcwlad_geo.estimation.solving import least_squares
 from pcwlad_geo.events import JobLog, Progress
 from pcwlad_geo.matching.kernels.library import in_threads
 from pcwlad_geo.matching.second_pass import displacement_by_windows
-from pcwlad_geo.registration.proof.rematching import MatchedAgain, match_again, origins_of
+from pcwlad_geo.registration.proof.rematching import MatchedAgain, match_again
 from pcwlad_geo.registration.proof.sites import ProofSetup
+from pcwlad_geo.registration.tiles import origins_of
 from pcwlad_geo.types import Bool, Float64
 
 

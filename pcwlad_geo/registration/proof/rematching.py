@@ -21,7 +21,7 @@ from pcwlad_geo.matching.prepare import ChannelPair, PreparedPair, prepare
 from pcwlad_geo.matching.types import TRAITS, to_index
 from pcwlad_geo.matching.window import MatchingWindow
 from pcwlad_geo.registration.proof.sites import ProofSetup, Site
-from pcwlad_geo.registration.tiles import TileJob
+from pcwlad_geo.registration.tiles import origins_of
 from pcwlad_geo.types import Float64, Index
 
 
@@ -95,12 +95,6 @@ def _prepared(
         images.append(Image(image + fresh, valid_pixels, scene.epsilon, scene.noise))
     traits = TRAITS[job.settings.method]
     return prepare(*images, channels=traits.channels, halo_px=traits.halo_px, threads=threads)
-
-
-def origins_of(job: TileJob) -> tuple[Float64, Float64]:
-    """Return the (2,) corners (col, row) of the arrays of a tile, reference and target view px."""
-    reference = np.array([job.window.col, job.window.row], np.float64)
-    return reference, reference + job.target_offset_px
 
 
 def _rows_of(points: Index, corners: Index) -> Index:
