@@ -173,9 +173,11 @@ def typed(value: object, kind: type[T], written: type | None = None) -> T:
 def _reasons(error: ValidationError) -> Iterator[tuple[str, bool]]:
     """Yield what is wrong with each value, and whether it is only a key that is missing."""
     for wrong in error.errors(include_url=False, include_input=False, include_context=False):
-        place = wrong["loc"]
-        is_missing = wrong["type"] == "missing" and not isinstance(place[-1], int)
-        yield f"{'.'.join(map(str, place))}: {wrong['msg']}".removeprefix(": "), is_missing
+        # without the names that pydantic gives to the branches of a union, and without our classes
+        place = [str(part) for part in wrong["loc"] if "[" not in str(part)]
+        is_missing = wrong["type"] == "missing" and not isinstance(wrong["loc"][-1], int)
+        reason = re.sub(r" or an instance of \w+$", "", wrong["msg"])
+        yield f"{'.'.join(place)}: {reason}".removeprefix(": "), is_missing
 
 
 @lru_cache(maxsize=16)

@@ -145,6 +145,7 @@ DAMAGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda report: report | {"model": {"name": "magic"}}, "damaged .model.forward: "),
     (lambda report: report | {"model": {"name": "x", "forward": {"type": "magic"}}}, "no correction model"),
     (lambda report: report | {"settings": {"window": 3}}, "damaged .window = 3: give an odd number"),
+    (lambda report: report | {"settings": {"dem": [5]}}, "damaged .settings.dem: Input should be a valid"),
     (lambda report: report | {"target": {}}, "damaged"),
     (lambda report: report | {"model": None}, "damaged .model: "),
     (changed_grid("target", transform=[1, 1, 0, 1, 1, 0]), "without an inverse"),
