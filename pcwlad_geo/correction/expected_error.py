@@ -64,7 +64,7 @@ def expected_ce90(
     residuals: Residuals,
     places_px: Float64,
     footprint_px: float,
-    jitter_px: float = 0.0,
+    averaged_px: float = 0.0,
     parameters: ExpectedErrorParameters = EXPECTED_ERROR,
 ) -> float:
     """Return the radial error within which 90 % of the places are expected to lie, px.
@@ -73,7 +73,7 @@ def expected_ce90(
     see `_mean_error`. Its covariance is that of the correction; beyond the tie points it grows by the
     semivariogram of the displacements. The (m, 2) `places_px` are predicted target positions (col, row), px,
     spread evenly over the ground; there is at least one of them, and one match. The matching window is
-    `footprint_px` wide, and averages out a `jitter_px` (RMS of the length) that the correction leaves.
+    `footprint_px` wide, and averages out `averaged_px` (RMS of the length) that the correction leaves.
     """
     local = local_residuals(residuals, places_px, footprint_px, parameters)
     covered = local.all_agree & (local.distance_px <= selection.fit.support.reach_px)
@@ -88,7 +88,7 @@ def expected_ce90(
         selection, residuals, outside_px, footprint_px, parameters
     )
     # The misfit of the model is part of the mean and must not enter the covariance.
-    common_px2 = np.maximum(selection.common_px2, parameters.least_common_px**2) + jitter_px**2 / 2
+    common_px2 = np.maximum(selection.common_px2, parameters.least_common_px**2) + averaged_px**2 / 2
     covariance = selection.fit.covariance(places_px) + np.diag(common_px2)
     growth = _extrapolation_variance(selection, residuals, outside_px, parameters)
     covariance[extrapolated] += growth[:, None, None] * np.eye(2)

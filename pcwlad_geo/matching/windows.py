@@ -85,6 +85,8 @@ class WindowErrors:
     """Variance per axis of what the window averages away of a displacement that bends, over side⁴, 1/px²."""
     points: int
     """Number of points that tell."""
+    bend_sigmas: float
+    """Standard errors by which the noise alone fails to explain them."""
 
     def covariance_px2(self, windows_px: Sequence[int]) -> Float64:
         """Return the (k, k) covariance per axis of the errors of k windows at the same point.
@@ -100,6 +102,16 @@ class WindowErrors:
         """Return the variance per axis of the error that the windows leave together."""
         weights = np.asarray(scales.weights)
         return float(weights @ self.covariance_px2(scales.windows_px) @ weights)
+
+    def bend_px(self, scales: Scales) -> float:
+        """Return what the windows together average away of the displacement, RMS of its length, px.
+
+        It is 0 where noise alone explains the differences of the windows.
+        """
+        if self.bend_sigmas < WINDOWS.bend_sigmas:
+            return 0.0
+        sides = np.asarray(scales.windows_px, np.float64)
+        return float(np.sqrt(2 * self.bend) * abs(np.asarray(scales.weights) @ sides**2))
 
     def best(self, windows_px: Sequence[int], first_px: int) -> Scales:
         """Return one or two windows that leave the least error, `first_px` unless others are clearly better.
@@ -145,7 +157,12 @@ def window_errors(displacement_px: Float64, windows_px: Sequence[int]) -> Window
     design = np.stack([-np.diff(sides**-WINDOWS.noise_power), np.diff(sides**2) ** 2], axis=1)
     scale = design.max(axis=0)
     noise, bend = _not_negative(design / scale, variance) / scale
-    return WindowErrors(float(noise), float(bend), int(finite.sum()))
+    points = int(finite.sum())
+    # the median of n exponential values scatters by this share of itself
+    standard_error = np.maximum(variance, 1e-12) / (np.log(2) * np.sqrt(points))
+    by_noise, seen = design[:, :1] / standard_error[:, None], variance / standard_error
+    misfit = float(np.linalg.norm(seen - by_noise @ least_squares(by_noise, seen)))
+    return WindowErrors(float(noise), float(bend), points, misfit)
 
 
 def _not_negative(design: Float64, values: Float64) -> Float64:

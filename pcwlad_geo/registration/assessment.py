@@ -94,13 +94,17 @@ def fit_pair(
         )
         places, bare = _counted_px(matches, fitted.selection, log, parameters)
         whole = _whole_px(matches.pair)
-        of_all = None
-        if matches.origin is not None and matches.origin.left_out:
-            model, auto = (fitted.selection.name,), replace(settings, model="auto")
-            with suppress(InputError):  # all of them may fold the image
-                of_all = fit_correction(matches.every, auto, footprint, None, shape, model).selection
+        of_all = _fitted_to_all(matches, fitted, settings, footprint)
         quality = assess(
-            fitted.table, matches.every, fitted.selection, places, footprint, matches.jitter_px, whole, of_all
+            fitted.table,
+            matches.every,
+            fitted.selection,
+            places,
+            footprint,
+            matches.jitter_px,
+            matches.bend_px,
+            whole,
+            of_all,
         )
         quality = _with_seam(quality, fitted, places, footprint)
         quality = _with_bends(quality, fitted, bare, len(places), parameters)
@@ -120,6 +124,19 @@ def fit_pair(
         if reason.text not in log.warnings:
             log.warn(reason.text)
     return _concluded(matches, fitted, decision, settings, log)
+
+
+def _fitted_to_all(
+    matches: Matches, fitted: Fitted, settings: Settings, footprint_px: float
+) -> Selection | None:
+    """Return the same model fitted to all matches, where some points of a file were left out."""
+    if matches.origin is None or not matches.origin.left_out:
+        return None
+    model, auto = (fitted.selection.name,), replace(settings, model="auto")
+    shape = matches.pair.target.grid.shape
+    with suppress(InputError):  # all of them may fold the image
+        return fit_correction(matches.every, auto, footprint_px, None, shape, model).selection
+    return None
 
 
 def _concluded(
@@ -160,6 +177,7 @@ def conclude(matches: Matches, correction: Correction | None = None) -> Registra
         geometry=matches.geometry,
         motions=matches.motions,
         jitter_px=matches.jitter_px,
+        bend_px=matches.bend_px,
         record=matches.record,
         rpc=corrected_rpc(pair.rpc, correction) if pair.rpc else None,
         inputs=pair.inputs,

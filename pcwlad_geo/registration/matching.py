@@ -302,6 +302,7 @@ def _from_file(pair: Pair, path: Path | str, log: JobLog) -> Matches:
         window_px=origin.window_px or pair.settings.matching_window.side_px,
         motions=points.motions,
         jitter_px=points.jitter_px,
+        bend_px=points.bend_px,
         origin=origin,
         roles=points.roles,
     )
@@ -340,7 +341,8 @@ def _by_matching(
     if scene.decision.accepted and geometry.name == "planar":
         points = scene.matches[scene.consistent]
         table = _with_shared_errors(table, points, views, log, parameters.light_px)
-    jitter_px = scene.jitter_px * float(file_px_per_px(views.target).max())
+    unit_px = float(file_px_per_px(views.target).max())
+    jitter_px = scene.jitter_px * unit_px
     if jitter_px >= parameters.jitter_px:
         log.warn(
             f"rows or columns are displaced against each other by {jitter_px:.2f} px (RMS) within a matching "
@@ -360,6 +362,7 @@ def _by_matching(
         geometry=geometry,
         motions=motions,
         jitter_px=jitter_px,
+        bend_px=scene.bend_px * unit_px,
         job=scene.job,
         scales=scene.scales,
     )

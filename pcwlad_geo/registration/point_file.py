@@ -69,6 +69,7 @@ class FilePoints:
     origin: Origin
     motions: tuple[Motion, ...] = ()
     jitter_px: float = 0.0
+    bend_px: float = 0.0
 
 
 def user_points(
@@ -153,6 +154,7 @@ class _ReadMatching:
     window_px: int | None
     motions: tuple[Motion, ...]
     jitter_px: float
+    bend_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,4 +235,5 @@ def _with_history(points: FilePoints, earlier: _Earlier, row_of: Index, pair: Vi
         ),
         motions=earlier.report.motions,
         jitter_px=earlier.report.jitter_px,
+        bend_px=earlier.report.bend_px,
     )

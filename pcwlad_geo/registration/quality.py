@@ -146,6 +146,7 @@ def assess(
     places_px: Float64,
     footprint_px: float,
     jitter_px: float = 0.0,
+    bend_px: float = 0.0,
     whole_px: Float64 | None = None,
     of_all: Selection | None = None,
     parameters: QualityParameters = QualityParameters(),
@@ -167,6 +168,8 @@ def assess(
         Side of the matching window, target px.
     jitter_px : float
         By how much rows and columns move within it, RMS, target px.
+    bend_px : float
+        What it averages away of a displacement that bends within it, RMS, target px.
     whole_px : (k, 2) array of float, optional
         The like of `places_px`, where these are a part of the common ground.
     of_all : Selection, optional
@@ -178,13 +181,16 @@ def assess(
     correction = selection.fit.correction
     residual_px = matches.target_px - correction.forward(matches.predicted_px)
     if isinstance(correction, JitterCorrection):
-        jitter_px = max(0.0, jitter_px**2 - correction.variance_px2) ** 0.5
+        jitter_px, bend_px = (
+            max(0.0, size_px**2 - correction.variance_px2) ** 0.5 for size_px in (jitter_px, bend_px)
+        )
     consistent = matches.status != "rejected"
 
     def expected(at_px: Float64) -> float:
         def ce90_of(by: Selection, left_px: Float64) -> float:
             residuals = Residuals(matches.predicted_px, left_px, consistent, matches.sigma_px)
-            return expected_ce90(by, residuals, at_px, footprint_px, jitter_px)
+            # jitter bends the displacement, too, and would count twice in their sum
+            return expected_ce90(by, residuals, at_px, footprint_px, max(jitter_px, bend_px))
 
         of_these = ce90_of(selection, residual_px)
         if of_all is None:
@@ -197,7 +203,7 @@ def assess(
     expected_px = expected(places_px)
     extrapolated = float(selection.extrapolated(places_px).mean())
     reasons = (
-        *_inaccurate(expected_px, selection.name, jitter_px),
+        *_inaccurate(expected_px, selection.name, jitter_px, bend_px),
         *_check_points_off(table, selection.name, footprint_px, parameters),
         *displaced_otherwise(residual_px[~consistent], len(matches), parameters=parameters),
         *_extrapolation(extrapolated, parameters),
@@ -275,11 +281,13 @@ def displaced_otherwise(
         )
 
 
-def _inaccurate(expected_px: float, model: str, jitter_px: float) -> Iterator[Reason]:
+def _inaccurate(expected_px: float, model: str, jitter_px: float, bend_px: float) -> Iterator[Reason]:
     if expected_px > GOOD_PX:
         cause = "clouds that moved, relief, parallax, or too few tie points"
         if jitter_px > expected_px / SIGMA_90:
             cause = f"rows or columns move by {jitter_px:.2f} px (RMS) within a matching window (jitter)"
+        elif bend_px > expected_px / SIGMA_90:
+            cause = f"the displacement bends by {bend_px:.2f} px (RMS) within a matching window"
         yield Reason(
             grade_of_error(expected_px),
             f"a tenth of the common ground is expected to lie more than {expected_px:.1f} px off after the "

@@ -168,6 +168,9 @@ class Matches(Shown):
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
+    bend_px: float = 0.0
+    """What windows average away of a displacement that bends within them, RMS, target px; 0 where that is
+    not known."""
     job: TileJob | None = None
     """One of the tiles, as all were matched; None for points of a file."""
     scales: Scales | None = None
@@ -248,6 +251,9 @@ class Registration(Shown):
     """What parts of the matches agree on, if more than one displacement; the one taken comes first."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, target px; 0 where that is not seen."""
+    bend_px: float = 0.0
+    """What windows average away of a displacement that bends within them, RMS, target px; 0 where that is
+    not known."""
     rpc: RpcRegistration | None = None
     """The target's RPC, where that places it."""
     record: MatchRecord | None = None

@@ -289,6 +289,8 @@ class Report:
     """Displacements of groups of consistent matches, if there are several; the chosen one comes first."""
     jitter_px: Amount
     """RMS displacement of rows and columns within a window, target px; 0 where none was detected."""
+    bend_px: Amount
+    """RMS of what windows average away of a displacement that bends within them, target px."""
     window_px: int | None
     """Side of the window that the tie points were refined with, matching-grid px; null where it is not
     known."""

@@ -119,6 +119,7 @@ SENTENCES = (
     mark("a tenth of the common ground is expected to lie more than {} px off after the {} correction"),
     mark("clouds that moved, relief, parallax, or too few tie points"),
     mark("rows or columns move by {} px (RMS) within a matching window (jitter)"),
+    mark("the displacement bends by {} px (RMS) within a matching window"),
     mark(
         "a tenth of the {} check points lies more than {} px off the correction, {} times what their sigmas "
         "say"

@@ -118,6 +118,10 @@ def test_the_window_is_small_where_the_field_bends_and_large_where_noise_rules(
         assert all(each.weights[-1] < 0 for each in chosen if len(each.weights) == 2)
     sigma_px = np.sqrt(np.median([each.variance_px2(Scales.of(81)) for each in errors]))
     assert sigma_px == pytest.approx(np.hypot(noise_px, curvature * 81**2 / 24), rel=0.2)
+    bend_px = [each.bend_px(Scales.of(81)) for each in errors]
+    assert np.median(bend_px) == pytest.approx(np.sqrt(2) * curvature * 81**2 / 24, rel=0.2)
+    if curvature == 0.0:  # noise seems to bend the field by chance, but seldom by more than that explains
+        assert bend_px.count(0.0) >= 17
 
 
 @pytest.mark.parametrize(("noise_px", "curvature", "most"), CONDITIONS)

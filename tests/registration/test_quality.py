@@ -76,6 +76,23 @@ def test_displacements_that_the_model_leaves_are_told_with_their_figure(size_px:
     assert quality.refusal is None  # the points are good: the reader decides
 
 
+def test_what_windows_average_away_is_expected_and_named_and_counts_once_beside_jitter() -> None:
+    table = table_of(1.5)
+    fitted = fit_correction(table, Settings(model="shift"), WINDOW_PX, None)
+
+    def expected(jitter_px: float, bend_px: float) -> Quality:
+        return assess(
+            fitted.table, table, fitted.selection, everywhere(), WINDOW_PX, jitter_px, bend_px=bend_px
+        )
+
+    quality = expected(0.0, 0.5)  # 0.5 px RMS of a length are 0.76 px at 90 %
+    assert quality.expected_ce90_px == pytest.approx(0.76, rel=0.05)
+    assert "bends by 0.50 px" in quality.reasons[0].text
+    both = expected(0.6, 0.5)
+    assert both.expected_ce90_px == expected(0.6, 0.0).expected_ce90_px
+    assert "jitter" in both.reasons[0].text
+
+
 def test_noise_beyond_the_sigmas_is_not_called_parallax() -> None:
     quality = graded(table_of(1.5, noise_px=0.45))
     (reason,) = [each for each in quality.reasons if "check points" in each.text]

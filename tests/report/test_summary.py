@@ -26,10 +26,10 @@ def test_holds_what_the_file_promises_and_is_strict_json(registration: Make) -> 
     read = json.loads(to_json(summary), parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
     assert list(read) == [
         "schema_version", "status", "reason", "warnings", "passed", "requirements", "reference", "target",
-        "inputs", "px_m", "output_grid", "prealignment", "geometry", "motions", "jitter_px", "window_px",
-        "origin", "tie_points", "counts", "displacement_px", "displacement_m", "rpc", "model", "accuracy",
-        "quality", "statistics", "profiles", "coverage", "seconds", "settings", "versions", "proof",
-        "outputs",
+        "inputs", "px_m", "output_grid", "prealignment", "geometry", "motions", "jitter_px", "bend_px",
+        "window_px", "origin", "tie_points", "counts", "displacement_px", "displacement_m", "rpc", "model",
+        "accuracy", "quality", "statistics", "profiles", "coverage", "seconds", "settings", "versions",
+        "proof", "outputs",
     ]  # fmt: skip
     assert read["schema_version"] == 1
     assert read["outputs"] == ["report.json", "tiepoints.csv"]

@@ -50,6 +50,8 @@ class SceneMatches:
     """The motion taken, and that of parts smaller than a window; none where there are none."""
     jitter_px: float = 0.0
     """By how much rows and columns move within a window, RMS, view px."""
+    bend_px: float = 0.0
+    """What windows average away of a displacement that bends within them, RMS, view px."""
     job: TileJob | None = None
     """One of the tiles, as all were matched."""
     scales: Scales | None = None
@@ -153,6 +155,7 @@ def _match_with_windows(start: StartingAlignment, context: SceneContext) -> Scen
         window_px=second.scales.window_px if second else matching.window.side_px,
         epipolar=epipolar,
         jitter_px=second.jitter_px if second else 0.0,
+        bend_px=second.bend_px if second else 0.0,
         job=first.jobs[0] if first.jobs else None,
         scales=second.scales if second else None,
         lost_px=first.lost.reference_xy_px,

@@ -46,6 +46,7 @@ class SecondPass:
     window_variance_px2: float | None
     """Variance per axis that the differences of windows tell, where enough points do."""
     jitter_px: float
+    bend_px: float
     """See `SceneMatches`."""
     other_motion: tuple[Float64, Bool] | None
     """See `motions.other_displacement`; None where too few points lie at it."""
@@ -128,6 +129,7 @@ def run_second_pass(
         scales=scales,
         window_variance_px2=None if choice.errors is None else choice.errors.variance_px2(scales),
         jitter_px=choice.jitter_px,
+        bend_px=0.0 if choice.errors is None else choice.errors.bend_px(scales),
         other_motion=other_motion if choice.displaced_share >= motions.displaced_share else None,
     )
     return joined.part(~np.concatenate([unread, np.zeros(len(recovered), bool)]))

@@ -3204,6 +3204,10 @@ RMSE und CE90 sind die von Kontrollpunkten, die die Korrektur nicht gesehen hat,
       <translation>Zeilen oder Spalten bewegen sich um {} px (RMS) innerhalb eines Vergleichsfensters (Jitter)</translation>
     </message>
     <message>
+      <source>the displacement bends by {} px (RMS) within a matching window</source>
+      <translation>die Verschiebung krümmt sich um {} px (RMS) innerhalb eines Vergleichsfensters</translation>
+    </message>
+    <message>
       <source>a tenth of the {} check points lies more than {} px off the correction, {} times what their sigmas say</source>
       <translation>ein Zehntel der {} Kontrollpunkte liegt mehr als {} px neben der Korrektur, das {}-Fache dessen, was ihre Sigmas sagen</translation>
     </message>
