@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -93,7 +95,7 @@ class View:
         try:
             values, valid = _read(coarse, Window.whole(shape), overview)
         except InputError:
-            values, valid = _read_what_can_be(coarse, Window.whole(shape), overview, _UnreadParts())
+            values, valid = _read_what_can_be(coarse, Window.whole(shape), overview, itertools.count(1))
             if not valid.any():
                 raise
         return _patch(self.info.dtype, values, valid), (cols / shape[1], rows / shape[0])
@@ -137,28 +139,22 @@ def _read(view: View, window: Window, overview: int | None) -> tuple[NDArray[np.
     return _read_interpolated(source, window, overview, step)
 
 
-@dataclass(slots=True)
-class _UnreadParts:
-    """Counts the parts of a file that could not be read."""
-
-    failed: int = 0
-
-
 def _read_what_can_be(
-    view: View, window: Window, overview: int | None, tries: _UnreadParts
+    view: View, window: Window, overview: int | None, failures: Iterator[int]
 ) -> tuple[NDArray[np.generic], Bool]:
-    """Read a window by ever smaller parts; the smallest unreadable parts are not valid."""
+    """Read a window by ever smaller parts; the smallest unreadable parts are not valid.
+
+    The `failures` number the parts that cannot be read.
+    """
     try:
         return _read(view, window, overview)
     except InputError:
-        tries.failed += 1
-        if (
-            tries.failed > LIMITS.unread_parts
-        ):  # each part opens the file again: all of a large one would take hours
+        # each part opens the file again: all of a large one would take hours
+        if next(failures) > LIMITS.unread_parts:
             raise
         if max(window.shape) <= VIEWS.min_part_px:
             return np.zeros(window.shape, view.info.dtype), np.zeros(window.shape, bool)
-    return _joined([_read_what_can_be(view, half, overview, tries) for half in window.halves()], window)
+    return _joined([_read_what_can_be(view, half, overview, failures) for half in window.halves()], window)
 
 
 def _joined(

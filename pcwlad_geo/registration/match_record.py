@@ -100,7 +100,7 @@ def record_matching(
         _Content(patch.valid, texture >= parameters.plan.least_texture, texture >= parameters.bare_texture)
         for patch, texture in zip(patches, textures, strict=True)
     ]
-    ground = _ground(
+    ground, bare = _ground(
         pair, contents, overviews.factor, target_offset_px, side, settings.least_valid, parameters
     )
     failures = Candidates.concatenate([result.lost for result in results])
@@ -110,7 +110,7 @@ def record_matching(
         np.array([result.status == "failed" for result in results], dtype=bool),
         _boxes(pair, without_structure),
         Candidates(pair.reference.to_file_px(failures.reference_xy_px), failures.outcome),
-        bare=_bare(pair, contents, overviews.factor, target_offset_px, parameters),
+        bare=bare,
     )
 
 
@@ -129,7 +129,7 @@ def record_ground(pair: ViewPair, parameters: RecordParameters = RecordParameter
         return None
     col, row = pair.offset_px
     contents = [_Content(valid, np.ones_like(valid), np.ones_like(valid)) for valid in masks]
-    ground = _ground(pair, contents, factor, (round(col), round(row)), 1, 0.5, parameters)
+    ground, _ = _ground(pair, contents, factor, (round(col), round(row)), 1, 0.5, parameters)
     nothing = np.empty((0, 4))
     return MatchRecord(ground, nothing, np.empty(0, bool), nothing, Candidates.empty())
 
@@ -152,10 +152,11 @@ def _ground(
     window_px: int,
     least_valid: float,
     parameters: RecordParameters,
-) -> NDArray[np.uint8]:
+) -> tuple[NDArray[np.uint8], Bool]:
     """Tell, for places spread over the reference, whether both bands show something there and around.
 
-    `contents` are of the reference and the target, `factor` view px a pixel of theirs.
+    The second array tells whether neither shows structure there. `contents` are of the reference and the
+    target, `factor` view px a pixel of theirs.
     """
     places, shape = _places(pair.reference.info.grid.shape, parameters)
     with np.errstate(invalid="ignore"):
@@ -175,24 +176,8 @@ def _ground(
     reasons = [inside & ~in_reference, ~(inside & in_target), around.ravel() < least_valid, ~textured]
     names = ("reference_without_data", "target_without_data", "edge", "no_texture")
     ground = np.select(reasons, [PLACE_STATES.index(name) for name in names], default=0)
-    return ground.reshape(shape).astype(np.uint8)
-
-
-def _bare(
-    pair: ViewPair,
-    contents: Sequence[_Content],
-    factor: float,
-    target_offset_px: tuple[int, int],
-    parameters: RecordParameters,
-) -> Bool:
-    """Tell, for the places of `_ground`, whether neither band shows structure there."""
-    places, shape = _places(pair.reference.info.grid.shape, parameters)
-    with np.errstate(invalid="ignore"):
-        at = pair.reference.from_file_px(places) / factor
-    at_target = at + np.asarray(target_offset_px) / factor
-    reference, target = contents
     bare = ~_value_at(reference.structured, at) & ~_value_at(target.structured, at_target)
-    return np.asarray(bare.reshape(shape))
+    return ground.reshape(shape).astype(np.uint8), np.asarray(bare.reshape(shape))
 
 
 def _places(frame: tuple[int, int], parameters: RecordParameters) -> tuple[Float64, tuple[int, int]]:
