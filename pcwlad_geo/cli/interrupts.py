@@ -10,13 +10,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING
 
 from pcwlad_geo.cli.guard import SIGNALS
-
-if TYPE_CHECKING:
-    pass
-
 
 GRACE_S = 1.0
 """Time for the main thread to clean up by itself before the run is ended by another thread."""

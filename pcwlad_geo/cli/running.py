@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
@@ -25,10 +25,6 @@ from pcwlad_geo.errors import (
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.limits import check_address_space
 from pcwlad_geo.text import one_line
-
-if TYPE_CHECKING:
-    pass
-
 
 UNEXPECTED = 1
 """Exit status of an unexpected error."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -12,10 +12,6 @@ from pcwlad_geo.cli.running import Ending, run_guarded
 from pcwlad_geo.events import EventCallback
 from pcwlad_geo.options import OutputGrid, Resampling
 from pcwlad_geo.text import visible
-
-if TYPE_CHECKING:
-    pass
-
 
 Folder = Annotated[Path, o.argument("REGISTRATION", "Output folder of an earlier pcwlad-geo register.")]
 WarpRasters = Annotated[

@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 import rasterio.env
 from threadpoolctl import threadpool_limits
@@ -30,11 +30,9 @@ from pcwlad_geo.events import EventCallback, Progress, ignore
 from pcwlad_geo.raster import Trust, trusting
 from pcwlad_geo.raster.trust.permissions import current_trust
 
-if TYPE_CHECKING:
-    pass
-
-
 T = TypeVar("T")
+Calls = Sequence[tuple[Any, ...]]
+"""The arguments of each call."""
 IN_FLIGHT: Final = 64
 """Largest number of calls submitted at a time to an executor of unknown size."""
 CHECK_S: Final = 1.0
@@ -132,11 +130,7 @@ class Runner(Protocol):
         """Whether `run_jobs` executes several at a time, in processes of this machine."""
 
     def run(
-        self,
-        function: Callable[..., T],
-        calls: Sequence[tuple[Any, ...]],
-        stage: str,
-        on_event: EventCallback = ignore,
+        self, function: Callable[..., T], calls: Calls, stage: str, on_event: EventCallback = ignore
     ) -> list[T]:
         """Call the function with each tuple of arguments; return the results in the order of the calls.
 
@@ -158,11 +152,7 @@ class Runner(Protocol):
         """
 
     def run_jobs(
-        self,
-        function: Callable[..., T],
-        calls: Sequence[tuple[Any, ...]],
-        stage: str,
-        on_event: EventCallback = ignore,
+        self, function: Callable[..., T], calls: Calls, stage: str, on_event: EventCallback = ignore
     ) -> list[T | ExecutionError]:
         """Do what `run` does with a function that does a whole job.
 
@@ -180,11 +170,7 @@ class InThisProcess(Runner):
     threads = 1
 
     def run(
-        self,
-        function: Callable[..., T],
-        calls: Sequence[tuple[Any, ...]],
-        stage: str,
-        on_event: EventCallback = ignore,
+        self, function: Callable[..., T], calls: Calls, stage: str, on_event: EventCallback = ignore
     ) -> list[T]:
         """Call the function with each tuple of arguments; see `Runner`."""
         on_event(Progress(stage, 0, len(calls)))
@@ -251,11 +237,7 @@ class OnExecutor(Runner):
     threads = 1
 
     def run(
-        self,
-        function: Callable[..., T],
-        calls: Sequence[tuple[Any, ...]],
-        stage: str,
-        on_event: EventCallback = ignore,
+        self, function: Callable[..., T], calls: Calls, stage: str, on_event: EventCallback = ignore
     ) -> list[T]:
         """Call the function with each tuple of arguments; see `Runner`."""
         settings, trust = gdal_settings(), current_trust()

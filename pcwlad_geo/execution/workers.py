@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,6 +25,7 @@ from pcwlad_geo.errors import ExecutionError
 from pcwlad_geo.events import EventCallback, ignore
 from pcwlad_geo.execution.cluster import connected
 from pcwlad_geo.execution.runner import (
+    Calls,
     InThisProcess,
     OnExecutor,
     Runner,
@@ -63,11 +64,7 @@ class LocalWorkers(InThisProcess):
         self._processes: ChildProcesses | None = None
 
     def run(
-        self,
-        function: Callable[..., T],
-        calls: Sequence[tuple[Any, ...]],
-        stage: str,
-        on_event: EventCallback = ignore,
+        self, function: Callable[..., T], calls: Calls, stage: str, on_event: EventCallback = ignore
     ) -> list[T]:
         """Call the function with each tuple of arguments, in threads; see `Runner`."""
         if self.threads == 1 or len(calls) < 2:
@@ -78,11 +75,7 @@ class LocalWorkers(InThisProcess):
             )
 
     def run_jobs(
-        self,
-        function: Callable[..., T],
-        calls: Sequence[tuple[Any, ...]],
-        stage: str,
-        on_event: EventCallback = ignore,
+        self, function: Callable[..., T], calls: Calls, stage: str, on_event: EventCallback = ignore
     ) -> list[T | ExecutionError]:
         """Call a function that does a whole job, in processes; see `Runner`."""
         if not self.shares_jobs or len(calls) < 2:
