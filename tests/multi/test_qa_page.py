@@ -135,6 +135,13 @@ def test_triangles_that_do_not_close_are_told() -> None:
     assert closure_note(close_triangles(BANDS, GOOD, 81)) is None
 
 
+def test_a_warning_stands_under_the_matrix_with_its_pairs() -> None:
+    told = [replace(pair, warnings=("clouds moved",)) for pair in GOOD[:2]]
+    text = page_of(BANDS, [*told, GOOD[2]]).text
+    assert "clouds moved (b2 – b4, b2 – b5)" in text
+    assert text.index("Displacement of every pair") < text.index("clouds moved") < text.index("Closure of")
+
+
 def test_a_triangle_closes_within_the_limit_or_its_error() -> None:
     good = {"mean_px": (0.04, -0.05), "error_px": (0.001, 0.001)}
     assert closes(good["mean_px"], good["error_px"])
