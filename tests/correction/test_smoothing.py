@@ -27,8 +27,8 @@ def trials_of(points: Array, values: Array, side_px: float, outliers: int = 0) -
 @pytest.mark.parametrize("relative_smoothing", [0.3, 30.0, 3e3])
 @pytest.mark.parametrize("outliers", [0, 20])
 def test_the_information_used_up_is_that_of_dense_algebra(outliers: int, relative_smoothing: float) -> None:
-    points = scattered(0, 200)
-    trials = trials_of(points, noise(0, 200, 0.1), 81, outliers)
+    points, values_px = scattered(0, 200), noise(0, 200, 0.1)
+    trials = trials_of(points, values_px, 81, outliers)
     smoothing = trials.smoothing(relative_smoothing)
     trial = trials.at(smoothing)
     design, energy = trials.system.design.toarray()[outliers:], trials.system.energy.toarray()
@@ -41,7 +41,7 @@ def test_the_information_used_up_is_that_of_dense_algebra(outliers: int, relativ
     assert trial.parameters_per_point[1] == pytest.approx(
         np.trace(hat @ overlaps) / len(hat), abs=0.01, rel=0.1
     )
-    residual = trials.values_px[outliers:] - hat @ trials.values_px[outliers:]
+    residual = values_px[outliers:] - hat @ values_px[outliers:]
     assert trial.squares == pytest.approx(100 * (residual**2).sum() / 2)
 
 
