@@ -37,7 +37,7 @@ class WindowParameters:
     """Others must leave less than this share of its mean squared error, and so must two windows."""
     noise_power: float = 1.1
     """The noise falls with this power of the side, measured as 1 to 1.4: windows share noise."""
-    bend_sigmas: float = 2.0
+    least_bend_sigmas: float = 2.0
     """Least standard errors by which noise alone fails to explain the differences of windows, so that what
     they average away counts in the error to expect."""
     most_weight: float = 2.0

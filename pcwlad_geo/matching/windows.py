@@ -108,7 +108,7 @@ class WindowErrors:
 
         It is 0 where noise alone explains the differences of the windows.
         """
-        if self.bend_sigmas < WINDOWS.bend_sigmas:
+        if self.bend_sigmas < WINDOWS.least_bend_sigmas:
             return 0.0
         sides = np.asarray(scales.windows_px, np.float64)
         return float(np.sqrt(2 * self.bend) * abs(np.asarray(scales.weights) @ sides**2))
